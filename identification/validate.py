@@ -23,7 +23,7 @@ from identification.information import spectrum
 from identification.kinematics.chain import BASE, TOOL, standing_in
 from identification.kinematics.frames import to_angles
 from identification.kinematics.parameters import JOINT_OFFSET, error_names
-from identification.measurements import MOST, POINT, Measurements, distances, rms_distance
+from identification.measurements import MOST, POINT, Conditions, Measurements, distances, rms_distance
 from identification.model import Model
 from identification.model.placed import (
     SESSIONS,
@@ -219,47 +219,56 @@ def _refitted(
         conditions = replace(conditions, temperature=measurements.temperature - float(mean))
     refitted, residuals, left_open = list[dict[str, Any]](), np.empty_like(measurements.positions), 0
     for name, rows in zip(measurements.sessions or (None,), measurements.session_rows, strict=True):
-        session, session_conditions = measurements.rows(rows), conditions.rows(rows)
-        # the arm of which only what is refitted is free; the offsets of the first joint, and of the last where points
-        # are to be found, stay: base and points stand for these
-        chain, named, free = arm.chain, session, set[str]()
-        if len(chain.tools) == 1 == len(session.marker_names):
-            # it is that which is measured, whatever the data call it
-            named = replace(session, marker=None, marker_names=())
-        if refit == "none":
-            try:
-                with_markers(replace(chain, settled=frozenset({BASE, TOOL})), named)
-            except InputError as error:
-                raise InputError(f"{error}; or --refit base, which finds where they are") from None
-            model = Model(replace(arm, chain=with_markers(chain, named)))
-        else:
-            chain = replace(one_unnamed(chain, named), settled=chain.drawn)
-            model = placed_model(Model(replace(with_open_base(arm), chain=chain)), named)
-            free |= {p.name for p in model.geometry_parameters if p.kind in (BASE, TOOL)} | {*chain.standing}
-            if refit == "offsets":
-                free |= {f"{JOINT_OFFSET}:{j}" for j in range(2, arm.links + (TOOL in chain.settled))}
-        model = replace(model, held={name: value for name, value in model.best_known.items() if name not in free})
-        values = start_at_base(model, named, session_conditions)
-        weights = np.ones(len(session)) if session.sigma is None else session.sigma**-2.0
-        problem = Problem(model, session.postures, session_conditions, session.positions[None], weights)
-        if refit != "none":
-            if session.positions.size < (p := len(values)):
-                place = ": session ".join(filter(None, [measurements.provenance.get("file", "measurements"), name]))
-                allowed = f"allowed: at least {-(-p // session.dimension)} rows in each session"
-                raise InputError(f"{place}: too few for {p} refitted parameters, {len(session)} in all, {allowed}")
-            values = problem.minimized(values[None]).parameters[0]
-            left_open += len(values) - spectrum(problem.rows_about(values)[1], model.scales).rank
-        residuals[rows] = problem.residuals(values)[0]
+        model, values, residuals[rows], determined = placed(arm, measurements.rows(rows), conditions.rows(rows), refit)
+        left_open += len(values) - determined
         # where base and measured points are, by the names of their parameters, in place of their corrections
-        stands, placed = standing_in(model.arm.chain, model.parameters.mapping(values)), dict[str, float]()
+        stands, places = standing_in(model.arm.chain, model.parameters.mapping(values)), dict[str, float]()
         for place, frame in {BASE: stands.base, **{f"{TOOL}[{n}]": at for n, at in stands.tools.items()}}.items():
             six = [*frame[:3, 3].tolist(), *to_angles(frame[:3, :3]).tolist()]
-            placed |= dict(zip(error_names(place), six, strict=True))
+            places |= dict(zip(error_names(place), six, strict=True))
         refitted += [
-            {"session": name, "name": p.name, "unit": p.file_unit, "value": placed.get(p.name, value) * p.to_file}
+            {"session": name, "name": p.name, "unit": p.file_unit, "value": places.get(p.name, value) * p.to_file}
             for p, value in zip(model.parameters, values.tolist(), strict=True)
         ]
     return refitted, residuals, left_open
+
+
+def placed(
+    arm: Arm, session: Measurements, conditions: Conditions, refit: str = "base"
+) -> tuple[Model, Array, Array, int]:
+    """The model of a calibrated arm in the rows of one session, of which only what is refitted is free, its values
+    (p,), (m, d) residuals [mm], and how many combinations of the values the rows determine.
+
+    The offsets of the first joint, and of the last where points are to be found, stay: base and points stand for these.
+    Raises `InputError` for fewer numbers than values.
+    """
+    chain, named, free = arm.chain, session, set[str]()
+    if len(chain.tools) == 1 == len(session.marker_names):
+        # it is that which is measured, whatever the data call it
+        named = replace(session, marker=None, marker_names=())
+    if refit == "none":
+        try:
+            with_markers(replace(chain, settled=frozenset({BASE, TOOL})), named)
+        except InputError as error:
+            raise InputError(f"{error}; or --refit base, which finds where they are") from None
+        model = Model(replace(arm, chain=with_markers(chain, named)))
+    else:
+        chain = replace(one_unnamed(chain, named), settled=chain.drawn)
+        model = placed_model(Model(replace(with_open_base(arm), chain=chain)), named)
+        free |= {p.name for p in model.geometry_parameters if p.kind in (BASE, TOOL)} | {*chain.standing}
+        if refit == "offsets":
+            free |= {f"{JOINT_OFFSET}:{j}" for j in range(2, arm.links + (TOOL in chain.settled))}
+    model = replace(model, held={name: value for name, value in model.best_known.items() if name not in free})
+    values = start_at_base(model, named, conditions)
+    if session.positions.size < (p := len(values)):
+        place = ": session ".join([str(session.provenance.get("file", "measurements")), *session.sessions])
+        allowed = f"allowed: at least {-(-p // session.dimension)} rows in each session"
+        raise InputError(f"{place}: too few for {p} refitted parameters, {len(session)} in all, {allowed}")
+    weights = np.ones(len(session)) if session.sigma is None else session.sigma**-2.0
+    problem = Problem(model, session.postures, conditions, session.positions[None], weights)
+    values = problem.minimized(values[None]).parameters[0] if p else values
+    determined = spectrum(problem.rows_about(values)[1], model.scales).rank if p else 0
+    return model, values, problem.residuals(values)[0], determined
 
 
 # -- judged before it is offered ---------------------------------------------------------------------------------------

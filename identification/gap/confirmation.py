@@ -1,9 +1,7 @@
 """Whether rows that were not used for a model confirm it: does the gap shrink, and as far as predicted?
 
-Where base or instrument of a hold-out stand elsewhere, or the measured point is another one, what is predicted of a
-point y_i with the axes R_i of the tip for the instrument becomes
-
-    A (y_i + R_i t) + s,    A, s: motion of base or instrument;  t: from the old to the new point, in the tip's frame
+Where base or instrument of a hold-out stand elsewhere, or the measured point is another one, both models are placed
+again in its rows, as `validate` places them.
 """
 
 from __future__ import annotations
@@ -14,11 +12,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 from scipy.special import ndtri, softmax, stdtrit
 
-from identification.arrays import Array, slices
-from identification.effects.base import widths
+from identification.arm import Calibration
+from identification.arrays import Array
 from identification.errors import InputError
 from identification.estimation.doubts import FALL
 from identification.estimation.repeats import NoiseFloor
@@ -30,9 +27,8 @@ from identification.gap.fit import Fitted
 from identification.gap.likelihood import mixed
 from identification.gap.search import MOST, Posterior
 from identification.information import ALONE, column_space
-from identification.instruments.base import registered
-from identification.levenberg_marquardt import Index, levenberg_marquardt
 from identification.measurements import POINT, Conditions, Measurements, distances
+from identification.validate import placed
 
 SESSION, OTHER_ROWS = "another session", "other rows"
 
@@ -150,34 +146,6 @@ class Gap(NamedTuple):
 
 
 # -- rows held out -----------------------------------------------------------------------------------------------------
-def placed_again(points: Array, axes: Array | None, measured: Array, names: NDArray[np.str_]) -> tuple[int, Array]:
-    """How many values say where a base and its measured points are in other rows, and (m, d) residuals [mm] with them
-    fitted, larger by as much as these values make them smaller.
-
-    points : (m, d) computed [mm];  axes : (m, 3, 3) of the tip for the instrument, None: its place in the tip stays
-    measured : (m, d) [mm];  names : (m,) of the measured points
-    """
-    m, d = measured.shape
-    full = np.pad(points, ((0, 0), (0, 3 - d)))
-    frame, count = registered(full, measured), 3 * (d - 1)
-    left = measured - full @ frame[:d, :3].T - frame[:d, 3]
-    if axes is not None:
-        tips = np.concatenate([axes * (names == name)[:, None, None] for name in np.unique(names)], axis=2)
-
-        def linearize(values: Array, _: Index) -> tuple[Array, Array]:  # of a small turn, a shift, and points
-            turn = Rotation.from_rotvec(values[0, :3]).as_matrix() @ frame[:3, :3]
-            turned = (full + tips @ values[0, 6:]) @ turn.T
-            by_turn = np.cross(np.eye(3)[None], turned[:, None, :]).transpose(0, 2, 1)
-            columns = np.concatenate([by_turn, np.broadcast_to(np.eye(3), (m, 3, 3)), turn @ tips], axis=2)
-            return (measured - turned - values[:, 3:6]).reshape(1, -1), columns.reshape(1, 3 * m, -1)
-
-        begin = np.concatenate([np.zeros(3), frame[:3, 3], np.zeros(tips.shape[2])])
-        count, rounding = len(begin), np.array([1e-14 * np.linalg.norm(measured)])
-        end = levenberg_marquardt(linearize, begin[None], scales=np.ones(count), rounding=rounding)
-        left = linearize(end.parameters, np.arange(1))[0].reshape(m, 3)
-    return count, left * np.sqrt(left.size / max(left.size - count, 1.0))
-
-
 @dataclass(frozen=True)
 class HeldOut:
     """Rows that were not used for a model, and how they differ from its data.
@@ -217,22 +185,23 @@ class HeldOut:
 
     def residuals(self, base: Fitted, model: Fitted) -> tuple[Array, Array, tuple[str, ...]]:
         """(m, d) residuals [mm] of both models, and in words what was fitted to the rows for both of them first: base
-        and points, where that makes the RMS of the second fall by `FALL`."""
-        lefts, again, count = list[Array](), list[Array](), 0
-        names = np.full(len(self.rows), "") if self.rows.marker is None else np.asarray(self.rows.marker)
-        for one in (base, model):
-            left, chain, axes = one.residuals(self.rows, self.conditions)[:, POINT], one.model.arm.chain, None
-            lefts.append(left)
-            if self.elsewhere and chain.instrument.reads_positions:
-                if chain.point_column:
-                    levers = one.model.place_levers(self.rows.postures, one.values, self.conditions)[0]
-                    axes = levers[:, POINT, slices(widths(chain))["tool"]]
-                measured = self.rows.positions[:, POINT]
-                count, placed = placed_again(measured - left, axes, measured, names)
-                again.append(placed)
-        if not again or left.size <= 2 * count or np.linalg.norm(left) <= FALL * np.linalg.norm(again[1]):
-            return lefts[0], lefts[1], ()
-        points = [] if axes is None else [f"reflector {name}".strip() for name in dict.fromkeys(names.tolist())]
+        and points, where that makes the RMS of the second fall by `FALL`; larger then by as much as these values make
+        them smaller."""
+        before, after = (one.residuals(self.rows, self.conditions)[:, POINT] for one in (base, model))
+        chain, conditions = base.model.arm.chain, replace(self.conditions, marker=self.rows.conditions.marker)
+        if not (self.elsewhere and chain.instrument.reads_positions):
+            return before, after, ()
+        calibrated = (
+            replace(one.model.arm, calibration=Calibration(one.model.best_known | one.by_name)) for one in (base, model)
+        )
+        try:
+            fits = [placed(arm, self.rows, conditions) for arm in calibrated]
+        except InputError:  # too few rows
+            return before, after, ()
+        again = [left[:, POINT] * np.sqrt(left.size / max(left.size - count, 1)) for _, _, left, count in fits]
+        if after.size <= 2 * fits[1][3] or np.linalg.norm(after) <= FALL * np.linalg.norm(again[1]):
+            return before, after, ()
+        points = [f"reflector {name}".strip() for name in self.rows.marker_names or ("",)] if chain.point_column else []
         return again[0], again[1], ("base", *points)
 
     def parameter_part(self, model: PredictingModel) -> Mean:

@@ -9,13 +9,15 @@ import pytest
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from identification import Arm, Measurements
+from identification import Arm, Measurements, Model
 from identification.documents.diagnosis import holds_in_words
 from identification.estimation.uncertainty import GROUPS, Mean, groups_of, mean_of
 from identification.gap.blocks import hypotheses
-from identification.gap.confirmation import Confirmation, HeldOut, confirm, placed_again, predicted_from_others
-from identification.gap.fit import Rows
+from identification.gap.confirmation import Confirmation, HeldOut, confirm, predicted_from_others
+from identification.gap.fit import Fitted, Rows
 from identification.gap.search import posterior_of
+from identification.kinematics.chain import KinematicChain
+from tests.doe.six_axis import CHAIN, REFLECTOR
 
 SIGMA = 0.1  # per coordinate
 RNG = np.random.default_rng(1)
@@ -177,38 +179,39 @@ def test_what_is_left_is_what_was_expected(given: bool) -> None:
 
 
 # -- another set-up: points moved in plain numpy -----------------------------------------------------------------------
-ROWS, NOISE = 60, 0.1
-SHIFT, TURN = np.array([300.0, -80.0, 40.0]), Rotation.from_rotvec([0.2, -1.1, 0.5]).as_matrix()
+NOISE, TURNS = 0.1, [Rotation.from_euler("z", 2.0), Rotation.from_rotvec([0.2, -1.1, 0.5])]
+CELL, SHIFT = replace(CHAIN, tools={"A": np.zeros(3), "B": REFLECTOR}), np.array([300.0, -80.0, 40.0])
 OTHER = np.array([25.0, -60.0, 10.0])  # from one point to the other, in the tip's frame
 
 
-def left_again(seed: int, points: dict[str, np.ndarray], dimension: int = 3) -> tuple[int, np.ndarray]:
-    """Rows of points A and B in turns, measured from another place with points moved by so much."""
-    generator = np.random.default_rng(seed)
-    axes = Rotation.random(ROWS, random_state=generator).as_matrix()
-    tips = generator.uniform(-1000.0, 1000.0, (ROWS, dimension))
-    names = np.tile(["A", "B"], ROWS // 2)
-    moved = np.array([turn @ points.get(name, np.zeros(3)) for turn, name in zip(axes, names, strict=True)])
-    turn = TURN if dimension == 3 else Rotation.from_euler("z", 2.0).as_matrix()[:2, :2]
-    measured = (tips + moved[:, :dimension]) @ turn.T + SHIFT[:dimension]
-    measured = measured + NOISE * generator.standard_normal(tips.shape)
-    return placed_again(tips, axes if dimension == 3 else None, measured, names)
+def left_again(seed: int, moved: str, chain: KinematicChain, rows: int = 60) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Of points A and B in turns, measured from another place, and these points moved."""
+    generator, d = np.random.default_rng(seed), chain.dimension
+    q, markers = generator.uniform(-2.0, 2.0, (rows, len(chain))), np.tile(["A", "B"], rows // 2)
+    tips, points = chain.tip_frames(q), np.zeros((rows, 3))
+    if d == 3:
+        points = np.array([chain.tools[name][:3, 3] + OTHER * (name in moved) for name in markers.tolist()])
+    at = tips[:, :3, 3] + np.einsum("mij,mj->mi", tips[:, :3, :3], points)
+    measured = TURNS[d - 2].apply(at)[:, :d] + SHIFT[:d] + NOISE * generator.standard_normal((rows, d))
+    names = {"marker": markers} if d == 3 else {}
+    data, model = Measurements(q, measured, **names), Model(Arm(chain))
+    seen, one = HeldOut(data, data.conditions, "other rows", True), Fitted(model, model.values, Rows.of(data))
+    return seen.residuals(one, one)[1:]
 
 
-@pytest.mark.parametrize(
-    ("moved", "dimension", "count"), [((), 3, 12), (("A", "B"), 3, 12), (("B",), 3, 12), ((), 2, 3)]
-)
-def test_nothing_but_noise_is_left_of_another_set_up(moved: tuple[str, ...], dimension: int, count: int) -> None:
-    fitted, left = left_again(1, {name: OTHER if name == "A" else -OTHER for name in moved}, dimension)
+@pytest.mark.parametrize(("moved", "chain"), [("", CELL), ("AB", CELL), ("B", CELL), ("", Arm([200.0, 100.0]).chain)])
+def test_nothing_but_noise_is_left_of_another_set_up(moved: str, chain: KinematicChain) -> None:
+    left, words = left_again(1, moved, chain)
     # of 120 coordinates or more: 6 % is the standard deviation of such an estimate; the values fitted cost nothing
-    assert (fitted, np.sqrt(np.mean(left**2))) == (count, pytest.approx(NOISE, rel=0.15))
+    assert np.sqrt(np.mean(left**2)) == pytest.approx(NOISE, rel=0.15)
+    assert words == ("base", "reflector A", "reflector B")[: 3 if chain is CELL else 1]
 
 
 def test_residuals_do_not_shrink_by_what_is_fitted() -> None:
-    """Fits of 6 + 6 values to 180 coordinates take a part of the noise, which is given back: on average over 200 sets
+    """Fits of 6 + 6 values to 72 coordinates take a part of the noise, which is given back: on average over 100 sets
     the mean square is that of the noise, to 3 of its standard deviations."""
-    means = [float(np.mean(left_again(seed, {"A": OTHER})[1] ** 2)) for seed in range(200)]
-    error = NOISE**2 * np.sqrt(2.0 / (3 * ROWS - 12) / 200)
+    means = [float(np.mean(left_again(seed, "A", CELL, 24)[0] ** 2)) for seed in range(100)]
+    error = NOISE**2 * np.sqrt(2.0 / (72 - 12) / 100)
     assert np.mean(means) == pytest.approx(NOISE**2, abs=3.0 * error)
 
 
