@@ -8,9 +8,9 @@ y_j around it,
 
     weight * mean(max(d(x_i), 0)^2) + s^0.5 mean(max(-d(y_j), 0)^1.5) -> min,    s = 10 mm,
 
-by L-BFGS with a growing weight, from one capsule on, each of which is then halved, again and again; the fewest stay
-that are nearly as good as any. Then those points of the surface are added that stick out most, and in the end radii
-grow until every face is contained.
+by L-BFGS with a growing weight, from one capsule for each of 1, 2, 4 .. parts of the body; the fewest stay that are
+nearly as good as any. Then those points of the surface are added that stick out most, and in the end radii grow until
+every face is contained.
 
 The box around the surface is parted in two where that leaves out most, again and again. Boxes may be hollow: what is
 joined to something outside is not inside without crossing the surface.
@@ -36,21 +36,21 @@ def capsules_around(triangles: Array, most: int = 8) -> Array:
     longest = max(float(size.max()), 1.0)
     cell = max(float(np.prod(np.maximum(size, longest / 20))) ** (1 / 3), longest / 6) / 16  # 16 along a cube as large
     faces = cut(triangles, 0.5 * cell)
-    surface, around = points_about(faces, cell)
-    middle, found = 0.5 * (triangles.min(axis=(0, 1)) + triangles.max(axis=(0, 1))), list[tuple[float, Array]]()
-    along = np.where(size == size.max(), 0.3 * size, 0.0)
-    capsules = np.r_[middle - along, middle + along, 0.3 * np.median(size)][None]
-    for _ in range(most.bit_length()):  # 1, 2, 4 .. capsules
+    surface, around, inside = points_about(faces, cell)
+    parts, found = [inside], list[tuple[float, Array]]()
+    while True:
+        capsules = np.array([like(part) for part in parts])
         for weight in (3.0, 100.0):
             value, capsules = fitted(capsules, surface, around, weight)
         found.append((value, capsules))
-        if -from_capsules(capsules, around)[0].min(initial=0.0) < max(0.3 * cell, 3.0):
-            break  # tight
-        capsules = halved(capsules, surface)
+        tight = -from_capsules(capsules, around)[0].min(initial=0.0) < max(0.3 * cell, 3.0)
+        if tight or len(parts) >= most:
+            break
+        parts = parted(parts, min(2 * len(parts), most))
     best = min(value for value, _ in found)
     capsules = next(each for value, each in found if value <= 1.35 * best)  # fewer, if they are nearly as good
     for weight in (1000.0, 10000.0):
-        some = faces[:: max(len(faces) // 5000, 1)]
+        some = spread(faces, 5000)
         lacking = sticking_out(capsules, some)[0]
         surface = np.concatenate([surface, some[np.argsort(-lacking)[:100]].reshape(-1, 3)])
         capsules = fitted(capsules, surface, around, weight)[1]
@@ -105,28 +105,43 @@ def fitted(capsules: Array, surface: Array, around: Array, weight: float) -> tup
 
 
 def sticking_out(capsules: Array, faces: Array) -> tuple[Array, Index]:
-    """(f,) how much the capsule that lacks least lacks of each face (f, 3, 3) [mm], and its number."""
+    """(f,) how much the capsule that lacks least lacks of each face (f, 3, 3) [mm], 0: nothing, and its number."""
     lacking = from_capsules(capsules, faces.reshape(-1, 3))[0].reshape(len(faces), 3, -1).max(axis=1)
-    return lacking.min(axis=1), lacking.argmin(axis=1)
+    best = lacking.argmin(axis=1)
+    return np.maximum(lacking[np.arange(len(faces)), best], 0.0), best
 
 
-def halved(capsules: Array, surface: Array) -> Array:
-    """Two of each capsule, half as long, at both halves of those points of the surface that are nearest to it."""
-    own, halves = from_capsules(capsules, surface)[0].argmin(axis=1), []
-    for k in np.unique(own):
-        start, end, radius = np.split(capsules[k], [3, 6])
-        near = surface[own == k]
-        near = near[np.argsort(near[:, np.ptp(near, axis=0).argmax()])]
-        for half in (near[: len(near) // 2 + 1], near[len(near) // 2 :]):
-            there = half.mean(axis=0) - near.mean(axis=0)
-            halves.append(np.r_[0.75 * start + 0.25 * end + there, 0.25 * start + 0.75 * end + there, 0.7 * radius])
-    return np.array(halves)
+def like(points: Array) -> Array:
+    """(7,) a capsule about as long and wide as points (m, 3) that fill a body."""
+    middle = points.mean(axis=0)
+    squares, axes = np.linalg.eigh((points - middle).T @ (points - middle) / len(points))
+    narrow, wide, long = np.sqrt(np.maximum(squares, 1e-9))
+    radius = 2.0 * np.sqrt(narrow * wide)
+    half = max(np.sqrt(3.0) * long - 0.7 * radius, 0.1 * radius) * axes[:, 2]
+    return np.r_[middle - half, middle + half, radius]
 
 
-def points_about(faces: Array, cell: float, most: int = 600) -> tuple[Array, Array]:
-    """Points of the surface, and points around it, where cells of a grid are not filled. A cell is filled where the
-    surface is in it, or on both sides along at least two of the three axes: the inside of an open surface, and of a
-    bore."""
+def parted(parts: list[Array], count: int) -> list[Array]:
+    """So many parts: the one that varies most is cut in two across where it does, again and again."""
+    parts = list(parts)
+    while len(parts) < count:
+        part = parts.pop(int(np.argmax([len(each) * np.var(each, axis=0).sum() for each in parts])))
+        middle = part.mean(axis=0)
+        along = (part - middle) @ np.linalg.eigh((part - middle).T @ (part - middle))[1][:, 2]
+        halves = [part[along < 0.0], part[along >= 0.0]]
+        parts += halves if min(map(len, halves)) else [part, part]
+    return parts
+
+
+def spread(points: Array, most: int) -> Array:
+    """At most so many of the points, at equal steps of their order."""
+    return points[np.linspace(0, len(points) - 1, min(len(points), most)).astype(int)]
+
+
+def points_about(faces: Array, cell: float, most: int = 800) -> tuple[Array, Array, Array]:
+    """Points of the surface, points around it, and centers of the cells of a grid that the body fills. A cell is filled
+    where the surface is in it, or on both sides along at least two of the three axes: the inside of an open surface,
+    and of a bore."""
     farthest = 6  # cells
     low = faces.min(axis=(0, 1)) - (farthest + 1) * cell
     shape = (np.ceil(np.ptp(faces, axis=(0, 1)) / cell) + 2 * farthest + 3).astype(int)
@@ -136,8 +151,8 @@ def points_about(faces: Array, cell: float, most: int = 600) -> tuple[Array, Arr
         return tuple(((points - low) / cell).astype(int).T)
 
     filled[at(faces.reshape(-1, 3))] = True
-    chosen = faces[np.unique(np.ravel_multi_index(at(faces[:, 0]), tuple(shape)), return_index=True)[1]]
-    chosen = chosen[:: max(len(chosen) // most, 1)]
+    one_of_each_cell = np.unique(np.ravel_multi_index(at(faces[:, 0]), tuple(shape)), return_index=True)[1]
+    chosen = spread(faces[one_of_each_cell], most)
     sides = [
         np.logical_or.accumulate(filled, axis) & np.flip(np.logical_or.accumulate(np.flip(filled, axis), axis), axis)
         for axis in range(3)
@@ -150,8 +165,8 @@ def points_about(faces: Array, cell: float, most: int = 600) -> tuple[Array, Arr
         around.append((middles + 0.2 * side)[~filled[at(middles + 1.8 * side)]])
     away = distance_transform_edt(~filled)
     far = np.argwhere((away >= 1.8) & (away <= farthest))
-    around.append(low + (far[:: max(2 * len(far) // most, 1)] + 0.5) * cell)
-    return chosen[:, 0], np.concatenate(around)
+    around.append(spread(low + (far + 0.5) * cell, most // 2))
+    return chosen[:, 0], np.concatenate(around), low + (np.argwhere(filled) + 0.5) * cell
 
 
 # -- boxes -------------------------------------------------------------------------------------------------------------
