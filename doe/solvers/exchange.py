@@ -77,7 +77,7 @@ class Exchange:
             count = max(1, min(most, left, 20_000 // runs))
             left -= count
             # constraints take long to look at: postures of a pool, and of plans so far, are known to be allowed
-            if choices is not None or (many and problem.constraints):
+            if choices is not None or problem.constraints:
                 if choices is None:
                     fresh = random_postures(problem, count * runs, generator)
                     postures = np.unique(np.concatenate([fresh, *climbed[-10:]]), axis=0)
