@@ -252,7 +252,7 @@ def design_files(
     extra += [] if expected is None else [str(expected)]
     data |= driven.data
     extra += driven.lines
-    text = (driven.moves or driven.plan).text(loaded.joint_types, columns_beside(design))
+    text = driven.moves.text(loaded.joint_types, columns_beside(design))
     files: dict[Path | None, tuple[str, Any]] = {out: ("plan", text)}
     if picture is not None:
         from doe.report.figures import plan_figure  # matplotlib takes longer to load than a small design

@@ -131,7 +131,7 @@ def run_demo(
     problem = DesignProblem.of(arm)
     design = solve(problem, scenario.runs, seed=seed, **scenario.effort)
     driven = drive(problem, design.plan, seed=seed)
-    design, moves = replace(design, plan=driven.plan), driven.moves or driven.plan
+    design, moves = replace(design, plan=driven.plan), driven.moves
     write("plan.csv", moves.text())
     progress(2, 8, "measurements")
     generator = np.random.default_rng(seed)

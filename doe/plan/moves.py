@@ -262,13 +262,13 @@ def approaches(
 class Drive(NamedTuple):
     """A plan of measurements in their order, and how they are driven through.
 
-    plan : the measurements;  moves : the same with way-points, None: they were not asked for, and nothing is in the way
+    plan : the measurements;  moves : the same with way-points, where these were asked for or something is in the way
     data : by the keys of files (identification/files/README.md, "JSON keys"), none where no order was asked for
     lines : what is to be said
     """
 
     plan: Plan
-    moves: Plan | None
+    moves: Plan
     data: dict[str, Any]
     lines: list[str]
 
@@ -293,7 +293,7 @@ def drive(
     """
     solid, generator = clearance_of(problem.constraints) is not None, np.random.default_rng(seed)
     if not solid and approach == "any" and order is None:
-        return Drive(plan, None, {}, [])
+        return Drive(plan, plan, {}, [])
     order, rows = order or ("travel" if solid and len(plan) <= MANY else "given"), np.arange(len(plan))
     room, given = room_of(problem.model, problem.constraints, 0.02), plan.postures
     turn = one_turn(problem, room, given) if solid else np.asarray
@@ -321,7 +321,7 @@ def drive(
     change = f"{abs(saved):.0%} {'more' if saved < 0.0 else 'saved'}"
     lines = [f"order {order}: joint travel {before:.0f} -> {after:.0f} deg of the joint that moves farthest ({change})"]
     if not solid and approach == "any":
-        return Drive(measured, None, data, lines)
+        return Drive(measured, measured, data, lines)
     moves, changed = replace(whole, via=via), int(np.any(postures != given, axis=1).sum())
     vias, no_approach = int(via.sum()), (np.flatnonzero(np.isin(run_rows, sideways)) + 1).tolist()
     not_free = (unproven(problem.constraints, whole.postures) or []) if unreached or stop() else []
