@@ -300,7 +300,7 @@ class Arm(ByValue):
         ratios = None if self.gear_ratios is None else readonly(self.gear_ratios, -1)
         if ratios is not None:
             good = ratios.size == n and bool(np.all(np.isfinite(ratios) & (ratios >= 0.0)))
-            require(good, f"gear_ratio: {ratios.tolist()}, allowed: {n} numbers >= 0, one for each joint")
+            require(good, f"gear_ratio: found {ratios.tolist()}, allowed: {n} numbers >= 0, one for each joint")
         counting = self.counting or Counting.usual(n)
         check_kinds(counting, chain.joint_types)
         for field_name, value in ({"chain": chain, "gear_ratios": ratios, "counting": counting} | limits).items():

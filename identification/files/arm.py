@@ -21,7 +21,7 @@ import tomlkit
 from pydantic import BaseModel
 
 from identification.arm import Arm, Calibration, EffectSpec, ErrorCurve, Gravity, Machining, check_limits
-from identification.arrays import Array, readonly
+from identification.arrays import Array
 from identification.errors import InputError, nearest
 from identification.files.bodies import Shape, ShapedBodies, pairs_apart
 from identification.files.io import PathLike, named_file, read_toml
@@ -30,7 +30,7 @@ from identification.files.urdf import METER, Urdf, read_urdf, urdf_text
 from identification.instruments import KINDS, Tracker
 from identification.kinematics import chain as chains
 from identification.kinematics.chain import BASE, STANDARD, TOOL, CorrectedGeometry, DHRow, KinematicChain
-from identification.kinematics.counting import Counting, check_kinds
+from identification.kinematics.counting import Counting
 from identification.kinematics.frames import from_angles, pose, pose_table, rotation_to_z, tool_tables
 from identification.kinematics.parameters import GEOMETRY, PRISMATIC, REVOLUTE, Parameter, by_joint
 from identification.workspace import Cell, ColumnLimits, KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox
@@ -80,16 +80,11 @@ def arm_from_tables(tables: Plain, folder: PathLike = ".", package_dirs: Sequenc
     urdf = None if file.urdf is None else read_urdf(named_file(folder, file.urdf, "urdf", "the arm file"))
     chain = _drawn_chain(file, urdf)
     n, types = len(chain), np.array(chain.joint_types)
-    for place, values in (
-        *((f"gravity.{key}", getattr(file.gravity, key, None)) for key in ("link_masses_kg", "center_of_mass")),
-        *((f"joints.{key}", getattr(file.joints, key, None)) for key in ("sign", "coupled_to", "zero_deg")),
-        ("gear_ratio", file.gear_ratio),
-    ):
-        _require_count(place, values, n)
-    counting, calibration, tied = Counting.usual(n), None, list[ColumnLimits]()
-    if file.joints is not None:  # what it leaves out is as usual
-        counting = replace(counting, **_in_api(file.joints))
-        check_kinds(counting, chain.joint_types)
+    counted = "gravity.link_masses_kg gravity.center_of_mass joints.sign joints.coupled_to joints.zero_deg"
+    for place in counted.split():
+        table, _, key = place.partition(".")
+        _require_count(place, getattr(getattr(file, table), key, None), n)
+    counting, calibration, tied = replace(Counting.usual(n), **_in_api(file.joints)), None, list[ColumnLimits]()
     # limits in tables are the controller's, those of the chain, as of a URDF, are the joints' already
     limits, written = np.array([(joint.lower, joint.upper) for joint in chain.joints]).T, np.zeros(n, dtype=bool)
     for kind, key in ((REVOLUTE, "joint_limits_deg"), (PRISMATIC, "joint_limits_mm")):
@@ -107,10 +102,8 @@ def arm_from_tables(tables: Plain, folder: PathLike = ".", package_dirs: Sequenc
     if file.links_mm is None:  # so that they stand in its URDF file
         each = zip(chain.joints, *limits.tolist(), strict=True)
         chain = replace(chain, joints=tuple(replace(joint, lower=low, upper=high) for joint, low, high in each))
-    gravity = None
-    if file.gravity is not None:
-        halves: Plain = {"center_of_mass": (0.5,) * n}
-        gravity = Gravity(**halves | _in_api(file.gravity))
+    halves: Plain = {"center_of_mass": (0.5,) * n}
+    gravity = None if file.gravity is None else Gravity(**halves | _in_api(file.gravity))
     effects = _effects(file.effects, chain, gravity is not None)
     if file.calibration is not None:
         calibration, chain = _calibration(file.calibration, chain, effects, tables["calibration"].get("provenance", {}))
@@ -118,14 +111,14 @@ def arm_from_tables(tables: Plain, folder: PathLike = ".", package_dirs: Sequenc
         chain,
         lower=limits[0],
         upper=limits[1],
-        sigma=None if file.measurement is None else file.measurement.sigma_mm,
+        sigma=file.measurement.sigma_mm,
         name=file.name,
         gravity=gravity,
         constraints=(*(CLASSES[table.kind](**_in_api(table)) for table in file.constraints), *tied),
         effects=tuple(spec for spec, _ in effects),
         calibration=calibration,
-        gear_ratios=None if file.gear_ratio is None else readonly(file.gear_ratio),
-        machining=Machining() if file.machining is None else Machining(**_in_api(file.machining)),
+        gear_ratios=file.gear_ratio,
+        machining=Machining(**_in_api(file.machining)),
         counting=counting,
         cell=_cell(file, urdf, chain, folder, package_dirs),
     )
@@ -148,11 +141,11 @@ def _require_count(key: str, values: Sequence[Any] | None, count: int, whose: st
         raise InputError(f"{key}: found {len(values)} values for {count} {whose}, allowed: {count}")
 
 
-def _in_api(table: BaseModel) -> Plain:
-    """What a table has, by the names of our classes, several numbers as a tuple."""
-    values = table.model_dump(exclude_none=True, exclude={"kind"}).items()
-    names = {key: "reach" if key == "range_mm" else re.sub(r"_(mm|deg|kg|m_s2)$", "", key) for key, _ in values}
-    return {names[key]: tuple(value) if isinstance(value, list) else value for key, value in values}
+def _in_api(table: BaseModel | None) -> Plain:
+    """What a table has, by the names of our classes, several numbers as a tuple; None: nothing."""
+    values: Plain = {} if table is None else table.model_dump(exclude_none=True, exclude={"kind"})
+    names = {key: "reach" if key == "range_mm" else re.sub(r"_(mm|deg|kg|m_s2)$", "", key) for key in values}
+    return {names[key]: tuple(value) if isinstance(value, list) else value for key, value in values.items()}
 
 
 def _drawn_chain(file: Any, urdf: Urdf | None) -> KinematicChain:
@@ -171,14 +164,12 @@ def _drawn_chain(file: Any, urdf: Urdf | None) -> KinematicChain:
     if file.tool is not None:
         chain = replace(chain, tools=_tools(file.tool), settled=chain.settled | {TOOL})
     if (table := file.instrument) is None:
-        sigma, scale = file.measurement, None
-        if sigma is not None and sigma.sigma_deg is not None:
-            if sigma.sigma_mm is None:
-                unused = "orientations are not used; what a degree weighs against a millimetre is not known"
-                warnings.warn(f"measurement.sigma_deg: found without sigma_mm: {unused}", UserWarning, stacklevel=2)
-            else:  # residuals of orientations weigh as much as those of positions
-                scale = sigma.sigma_mm / sigma.sigma_deg
-        return replace(chain, instrument=Tracker(scale))
+        sigma, turn = file.measurement.sigma_mm, file.measurement.sigma_deg
+        if turn is not None and sigma is None:
+            unused = "orientations are not used; what a degree weighs against a millimetre is not known"
+            warnings.warn(f"measurement.sigma_deg: found without sigma_mm: {unused}", UserWarning, stacklevel=2)
+        # residuals of orientations weigh as much as those of positions
+        return replace(chain, instrument=Tracker(turn and sigma and sigma / turn))
     instrument = KINDS[chain.axes][table.kind].of_table(table.model_dump(exclude_none=True))
     if file.base is not None and instrument.own_targets:
         raise InputError(f"base: found with an [instrument] of kind {table.kind}, allowed: left out, it is the frame")
@@ -204,13 +195,13 @@ def _cell(
     file: Any, urdf: Urdf | None, chain: KinematicChain, folder: PathLike, package_dirs: Sequence[PathLike]
 ) -> Cell | None:
     """The bodies of the file, which are read when they are asked for; None: it names none."""
-    cell, shapes, apart = file.cell, list[tuple[str, int, Shape]](), set[frozenset[str]]()
+    cell, shapes, apart = file.cell, list[tuple[str, int, Shape]](), {*map(frozenset, file.cell.apart)}
     if file.link_width_mm is not None:
         for j, length in enumerate(file.links_mm, start=1):
             link = Shape.between("capsule", (0.0, 0.0), (length, 0.0), 0.5 * file.link_width_mm)
             shapes.append((f"link {j}", j, link))
         apart |= {frozenset((f"link {j}", f"link {j + 1}")) for j in range(1, len(chain))}
-    for k, table in enumerate([] if cell is None else cell.bodies, start=1):
+    for k, table in enumerate(cell.bodies, start=1):
         joint, name = table.joint or 0, table.name or f"{table.kind} {k}"
         if joint > len(chain):
             raise InputError(f"cell.bodies[{k}].joint: found {joint}, allowed: 1 to {len(chain)}, or left out")
@@ -225,20 +216,20 @@ def _cell(
             mesh = str(named_file(folder, table.file, f"cell.bodies[{k}].file", "the arm file"))
             shape = Shape("mesh", _pose(table), np.full(3, METER if table.unit == "m" else 1.0), mesh)
         shapes.append((name, joint, shape))
-    drawn, path = urdf, Path("" if urdf is None else urdf.path)
-    if urdf is None or urdf.robot.find("link/collision") is None or (cell is not None and cell.bodies_of_urdf is False):
-        drawn = None
-    if cell is None and drawn is None and not shapes:
+    text, path = "", ""
+    if urdf is not None:
+        path = urdf.path
+        if urdf.robot.find("link/collision") is not None and cell.bodies_of_urdf is not False:
+            text = urdf.text
+            apart |= urdf.neighbours()
+    if not ("cell" in file.model_fields_set or text or shapes):
         return None
-    folders = tuple(dict.fromkeys(map(str, (folder if urdf is None else path.parent, folder, *package_dirs))))
-    ends, text = (str(file.base_link), str(file.tip_link)), "" if drawn is None else drawn.text
-    bodies = ShapedBodies(tuple(shapes), text, str(path), ends, folders, chain.reach)
-    apart |= set() if drawn is None else drawn.neighbours()
-    if cell is None:
-        return Cell(bodies, apart=frozenset(apart))
     if cell.srdf is not None:
         apart |= pairs_apart(named_file(folder, cell.srdf, "cell.srdf", "the arm file"))
-    return Cell(bodies, cell.floor_z_mm, cell.clearance_mm, frozenset(apart | {*map(frozenset, cell.apart)}))
+    folders = tuple(dict.fromkeys(map(str, (Path(path).parent if path else folder, folder, *package_dirs))))
+    ends = str(file.base_link), str(file.tip_link)
+    bodies = ShapedBodies(tuple(shapes), text, path, ends, folders, chain.reach)
+    return Cell(bodies, cell.floor_z_mm, cell.clearance_mm, frozenset(apart))
 
 
 # -- effects and calibration -------------------------------------------------------------------------------------------
