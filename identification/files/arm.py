@@ -350,21 +350,27 @@ def corrected_urdf(path: PathLike, geometry: CorrectedGeometry | None) -> str:
 
 
 # -- writing -----------------------------------------------------------------------------------------------------------
-def with_effects(text: str, specs: Iterable[EffectSpec], folder: PathLike = ".") -> str:
-    """`text` of an arm file with `[[effects]]` entries added for those of `specs` that it does not have yet.
+def with_found(
+    text: str, specs: Iterable[EffectSpec] = (), calibration: Calibration | None = None, folder: PathLike = "."
+) -> str:
+    """`text` of an arm file with what was found written into it; comments and order of the rest stay.
 
-    Values of the specs (API units) are written in file units, and so become known. Comments and order of the text stay.
-    Raises `InputError` for effects that the arm cannot have.
-
+    specs : `[[effects]]` entries are added for those that it does not have yet; their values (API units) are written in
+        file units, and so become known
+    calibration : in the place of its `[calibration]`, None: that stays as it is. Effects with estimated values are
+        those of the text and of `specs`
     folder : where the files are that the text names
+
+    Raises `InputError` for effects that the arm cannot have, and for a calibration of another number of links, or of
+    effects that the arm does not have.
     """
-    text, _, arm, before = _parsed(text, folder)
-    labels = {effect.label for _, effect in before}
-    wanted = _built(tuple(specs), arm.chain)
-    entries = []
+    text = text.removeprefix("\ufeff")
+    tables = tomllib.loads(text)
+    arm = arm_from_tables({key: value for key, value in tables.items() if key != "calibration"}, folder)
+    before = _built(arm.effects, arm.chain)
+    labels, entries = {effect.label for _, effect in before}, list[Plain]()
+    wanted = [each for each in _built(tuple(specs), arm.chain) if each[1].label not in labels]
     for spec, effect in wanted:
-        if effect.label in labels:
-            continue
         entry: Plain = {"name": spec.name, "joint": spec.joint}
         parameters = {p.short: p for p in effect.parameters}
         for short, value in spec.values.items():
@@ -375,22 +381,16 @@ def with_effects(text: str, specs: Iterable[EffectSpec], folder: PathLike = ".")
         if (curve := spec.curve) is not None:
             for key, angles in (("from_deg", curve.start), ("to_deg", curve.stop), ("values_deg", curve.values)):
                 entry[key] = _in_file(angles, math.degrees(1.0))
-            geometry = _fitted_with(curve.geometry, arm.chain)
-            fitted = _named(geometry, [*before, *wanted], curve.geometry, spec.key, in_file=False)
+            every = _fitted_with(curve.geometry, arm.chain)
+            fitted = _named(every, [*before, *wanted], curve.geometry, spec.key, in_file=False)
             entry["geometry"] = {p.file_name: _in_file(curve.geometry[p.name], p.to_file) for p in fitted} or None
         entries.append(_plain(entry))
-    return _with_tables(text, "effects", entries) if entries else text
-
-
-def with_calibration(text: str, calibration: Calibration, folder: PathLike = ".") -> str:
-    """`text` of an arm file with its `[calibration]` replaced or added; comments and order of the rest stay.
-
-    Effects with estimated values must stand under `[[effects]]` of the text: see `with_effects`. Raises `InputError`
-    for a calibration of another number of links, or of effects the text does not have.
-
-    folder : where the files are that the text names
-    """
-    text, tables, arm, effects = _parsed(text, folder)
+    if entries:
+        text = _with_tables(text, "effects", entries)
+        tables["effects"] = [*tables.get("effects", ()), *entries]
+    if calibration is None:
+        return text
+    effects = _built([spec for spec, _ in (*before, *wanted)], arm.chain)
     chain = replace(arm.chain, tools=calibration.tools or arm.chain.tools)
     values = dict.fromkeys(chain.unestimated, 0.0) | dict(calibration.values)
     named, order = (
@@ -414,14 +414,6 @@ def with_calibration(text: str, calibration: Calibration, folder: PathLike = "."
     table = _plain(table)
     arm_from_tables({**tables, "calibration": table}, folder)  # nothing is written that could not be read again
     return _with_tables(text, "calibration", table)
-
-
-def _parsed(text: str, folder: PathLike) -> tuple[str, Plain, Arm, Effects]:
-    """The text without a byte-order mark, its tables, and the arm that they describe without a calibration."""
-    text = text.removeprefix("\ufeff")
-    tables = tomllib.loads(text)
-    arm = arm_from_tables({key: value for key, value in tables.items() if key != "calibration"}, folder)
-    return text, tables, arm, _built(arm.effects, arm.chain)
 
 
 def _in_file(values: Any, factors: Any) -> Any:
