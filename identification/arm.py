@@ -210,8 +210,9 @@ class Calibration(ByValue):
         errors, offsets = np.ravel(length_errors), np.ravel(joint_offsets)
         counted = f"calibration: found {len(errors)} length errors and {len(offsets)} joint offsets"
         require(len(errors) == len(offsets), f"{counted}, allowed: one of each for every joint")
-        values = parameters.chain_parameters(np.ones(len(errors))).mapping(np.r_[errors, offsets]) | dict(effects)
-        return cls(values, parameter_names, covariance, provenance)
+        lists = {LENGTH_ERROR: errors.tolist(), JOINT_OFFSET: offsets.tolist()}
+        values = {f"{kind}:{j}": x for kind, each in lists.items() for j, x in enumerate(each, start=1)}
+        return cls(values | dict(effects), parameter_names, covariance, provenance)
 
     @property
     def length_errors(self) -> Array:

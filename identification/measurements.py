@@ -314,10 +314,10 @@ class Measurements(ByValue):
             return (np.arange(len(self)),)
         return tuple(np.flatnonzero(self.session == name) for name in self.sessions)
 
-    def _numbers(self, name: str) -> NDArray[np.int64] | None:
-        """(m,) number of each row's session or marker, from 0, None: the data name none."""
+    def _numbers(self, name: str) -> NDArray[np.int64]:
+        """(m,) number of each row's session or marker, from 0; of all rows 0 where the data name none."""
         if (labels := getattr(self, name)) is None:
-            return None
+            return np.zeros(len(self), dtype=np.int64)
         number = {label: k for k, label in enumerate(getattr(self, f"{name}_names"))}
         return np.array([number[label] for label in labels.tolist()], dtype=np.int64)
 
@@ -327,8 +327,8 @@ class Measurements(ByValue):
         return None if len(self.session_names) < 2 else self._numbers("session")
 
     @property
-    def marker_numbers(self) -> NDArray[np.int64] | None:
-        """(m,) number of each row's measured point among `marker_names`, None: there is one."""
+    def marker_numbers(self) -> NDArray[np.int64]:
+        """(m,) number of each row's measured point among `marker_names`, 0 where there is one."""
         return self._numbers("marker")
 
     @property

@@ -71,7 +71,6 @@ from identification.kinematics.parameters import (
     REVOLUTE,
     Parameter,
     ParameterSet,
-    chain_parameters,
     error_names,
 )
 from identification.vectorized import vectorize
@@ -109,11 +108,8 @@ class Joint(ByValue):
         return k if abs(self.axis[k]) >= 1.0 - 1e-12 else None  # but for rounding
 
     def moved(self, frame: Frame, q: ca.SX) -> Frame:
-        """The joint's frame after it moved by q [rad, mm]."""
-        if (k := self.along) is not None:
-            signed = q if self.axis[k] > 0.0 else -q
-            return frame.turned(k, signed) if self.type == REVOLUTE else frame.moved(k, signed)
-        # turned so that its own z axis is the joint's: one symbolic rotation instead of Rodrigues' formula
+        """The joint's frame after it moved by q [rad, mm]: turned so that its own z axis is the joint's, which is one
+        symbolic rotation instead of Rodrigues' formula."""
         to_z = rotation_to_z(self.axis)
         turned = frame.placed(pose(rotation=to_z))
         turned = turned.turned(2, q) if self.type == REVOLUTE else turned.moved(2, q)
@@ -425,9 +421,15 @@ class PlanarChain(KinematicChain):
     def parameters(self, best: Mapping[str, float] = NOTHING) -> ParameterSet:
         """Length errors, joint offsets and those of the instrument;  best : best known values, by which the offsets are
         scaled as far as anything is left of a link"""
-        lengths = self.lengths + [best.get(f"{LENGTH_ERROR}:{j}", 0.0) for j in range(1, len(self) + 1)]
-        scales = np.where(lengths == 0.0, self.lengths, np.abs(lengths))
-        return ParameterSet([*chain_parameters(scales), *self.instrument.parameters])
+        numbers = range(1, len(self) + 1)
+        lengths = self.lengths + [best.get(f"{LENGTH_ERROR}:{j}", 0.0) for j in numbers]
+        scales = np.where(lengths == 0.0, self.lengths, np.abs(lengths)).tolist()
+        errors = [Parameter(f"{LENGTH_ERROR}:{j}", "mm", kind=LENGTH_ERROR, joint=j) for j in numbers]
+        offsets = [
+            Parameter(f"{JOINT_OFFSET}:{j}", "rad", scale=s, kind=JOINT_OFFSET, joint=j)
+            for j, s in enumerate(scales, start=1)
+        ]
+        return ParameterSet([*errors, *offsets, *self.instrument.parameters])
 
     def closed_form(self, parameters: ParameterSet, others: bool) -> PlanarClosedForm | None:
         chain = [*parameters.indices(LENGTH_ERROR), *parameters.indices(JOINT_OFFSET)]

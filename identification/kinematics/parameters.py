@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from math import inf
@@ -133,15 +133,6 @@ class ParameterSet(tuple[Parameter, ...]):
     def mapping(self, vector: ArrayLike) -> dict[str, float]:
         """Name -> value of a (p,) vector; raises `ValueError` for another length."""
         return dict(zip(self.names, np.asarray(vector, dtype=float).tolist(), strict=True))
-
-
-def chain_parameters(lengths: Iterable[float] | Array) -> ParameterSet:
-    """(2 n) parameters of a planar chain: length errors dl_j [mm], then joint offsets dq_j [rad];  lengths : (n,) of
-    the links behind the joints [mm], the scales of the offsets"""
-    links = [(j, float(length)) for j, length in enumerate(lengths, start=1)]
-    errors = [Parameter(f"{LENGTH_ERROR}:{j}", "mm", kind=LENGTH_ERROR, joint=j) for j, _ in links]
-    offsets = [Parameter(f"{JOINT_OFFSET}:{j}", "rad", scale=s, kind=JOINT_OFFSET, joint=j) for j, s in links]
-    return ParameterSet([*errors, *offsets])
 
 
 def by_joint(values: Mapping[str, float], kind: str) -> Array:

@@ -72,7 +72,7 @@ def placed_model(model: Model, measurements: Measurements) -> Model:
     if own_targets:
         frames = standing.tip_frames(measurements.postures, geometry) @ next(iter(standing.tools.values()))
         readings, names = measurements.positions[:, : chain.instrument.dimension], measurements.marker_names or ("1",)
-        targets = frames[:, : chain.dimension, 3], readings, _markers(measurements), names
+        targets = frames[:, : chain.dimension, 3], readings, measurements.marker_numbers, names
         chain = replace(chain, instrument=chain.instrument.with_targets(*targets))
     return replace(model, arm=replace(arm, chain=chain, calibration=calibration))
 
@@ -87,16 +87,10 @@ def spread_rows(measurements: Measurements, rows: NDArray[np.int64]) -> Measurem
     return measurements.rows(rows[np.unique(np.linspace(0, len(rows) - 1, 500).astype(int))])
 
 
-def _markers(measurements: Measurements) -> NDArray[np.int64]:
-    """(m,) number of each row's measured point, 0 where the data name none."""
-    numbers = measurements.marker_numbers
-    return np.zeros(len(measurements), dtype=np.int64) if numbers is None else numbers
-
-
 def _standing_chain(chain: KinematicChain, measurements: Measurements, values: Mapping[str, float]) -> KinematicChain:
     """The chain where the closed form finds its base and its measured points or frames, as far as they are not known;
     values : best known errors of the geometry."""
-    markers = _markers(measurements)
+    markers = measurements.marker_numbers
     most = markers == np.bincount(markers).argmax()
     if chain.instrument.own_targets:  # one measured point, from the rows of the target that is touched most
         measurements, markers, most = measurements.rows(most), np.zeros(int(most.sum()), dtype=np.int64), most[most]
@@ -131,13 +125,13 @@ def session_bases(arm: Arm, measurements: Measurements) -> tuple[KinematicChain,
         if name in parts:
             rows = spread_rows(measurements, parts[name])
             if bases:  # where these rows find the base, then the points that were not seen before
-                old = seen[_markers(rows)]
+                old = seen[rows.marker_numbers]
                 held = frozenset({TOOL}) if old.any() else frozenset()
                 as_before = rows.rows(old) if old.any() else rows
                 standing = _standing_chain(replace(standing, settled=held), as_before, values)
                 if old.any() and not old.all():
                     standing = _standing_chain(replace(standing, settled=frozenset({BASE})), rows.rows(~old), values)
-            seen = seen | np.isin(np.arange(len(seen)), _markers(rows))
+            seen = seen | np.isin(np.arange(len(seen)), rows.marker_numbers)
         first = first if bases else seen
         bases.append(standing.base)
     later = {name: at for (name, at), seen in zip(standing.tools.items(), first.tolist(), strict=True) if not seen}

@@ -38,7 +38,6 @@ from identification.kinematics.frames import (
     rotation_vector,
     to_angles,
 )
-from identification.kinematics.parameters import chain_parameters
 
 URDF = Path(__file__).parents[2] / "data" / "spatial" / "six_axis.urdf"
 
@@ -236,7 +235,7 @@ def test_bad_tables_are_one_line() -> None:
         chain_of((DHRow(0.0, 0.0, 0.0, type="prismatic"),))
 
 
-LENGTH_1, LENGTH_2, OFFSET_1, _ = chain_parameters([300.0, 200.0])
+LENGTH_1, LENGTH_2, OFFSET_1, _ = planar_chain([300.0, 200.0]).parameters()
 SET = ParameterSet([LENGTH_1, OFFSET_1, Parameter("backlash:2.b", "rad"), LENGTH_2])
 
 
