@@ -30,6 +30,7 @@ from identification.model.placed import (
     one_unnamed,
     placed_model,
     start_at_base,
+    with_base,
     with_markers,
     with_open_base,
     with_sessions,
@@ -180,8 +181,7 @@ def validate(arm: Arm, measurements: Measurements, refit: str = "base") -> Valid
         what = instrument.target or "center"
         raise InputError(f"refit none: no calibrated file says where each {what} is, allowed: base, which finds it")
     refitted, residuals, left_open = _refitted(arm, measurements, refit)
-    drawing = replace(arm, effects=(), calibration=None)
-    nominal = _refitted(drawing, measurements, refit, arm)[1]
+    nominal = _refitted(replace(arm, effects=(), calibration=None), measurements, refit)[1]
     validation = Validation(arm, measurements, refit, tuple(refitted), residuals, nominal)
     return replace(validation, notes=tuple(validation.remarks(left_open)))
 
@@ -189,33 +189,28 @@ def validate(arm: Arm, measurements: Measurements, refit: str = "base") -> Valid
 def drawing_residuals(arm: Arm, measurements: Measurements) -> Array:
     """(m, d) residuals [mm] of an arm as it is drawn, without effects and calibration, placed as a fit to these
     measurements places it: a base for each session, one place for a measured point that several sessions share."""
-    drawing = replace(arm, effects=(), calibration=None)
-    if len(measurements.sessions) < 2:
-        return _refitted(drawing, measurements, "base", arm)[1]
-    chain = replace(arm.chain, settled=arm.chain.drawn)
-    model = Model(with_sessions(replace(drawing, chain=chain), measurements))
+    chain = replace(one_unnamed(arm.chain, measurements), settled=arm.chain.drawn)
+    drawing = with_base(replace(arm, chain=chain, effects=(), calibration=None))
+    model = Model(with_sessions(drawing, measurements))
     free = {p.name for p in model.parameters if p.kind in (BASE, TOOL) or p.name.startswith(f"{SESSIONS}.")}
     free |= {*chain.standing}
     held = {name: value for name, value in model.best_known.items() if name not in free}
     return estimate(replace(model, held=held), measurements).residuals_after
 
 
-def _refitted(
-    arm: Arm, measurements: Measurements, refit: str, calibrated: Arm | None = None
-) -> tuple[list[dict[str, Any]], Array, int]:
+def _refitted(arm: Arm, measurements: Measurements, refit: str) -> tuple[list[dict[str, Any]], Array, int]:
     """The refitted parameters (`Validation.refitted`), (m, d) residuals [mm], and how many combinations the data leave
-    open;  calibrated : the arm whose conditions hold, None: this one
+    open.
 
     The temperature is counted from the mean of the data of the identification, where it is known. In other rows than
     those what happened once in that session is over: a drift or a step has come to its end.
     """
-    model, origin = Model(arm), calibrated or arm
+    model, conditions, provenance = Model(arm), measurements.conditions, provenance_of(arm)
     check_shape(model, measurements)
-    conditions, mean = measurements.conditions, provenance_of(origin).get("mean_temperature_C")
-    own = share_fitted(provenance_of(origin), measurements) >= MOST
-    if refit != "none" and not own and any(effect.once for effect in Model(origin).effects):
+    own = share_fitted(provenance, measurements) >= MOST
+    if refit != "none" and not own and any(effect.once for effect in model.effects):
         conditions = conditions.afterwards(len(measurements))
-    if measurements.temperature is not None and mean is not None:
+    if measurements.temperature is not None and (mean := provenance.get("mean_temperature_C")) is not None:
         conditions = replace(conditions, temperature=measurements.temperature - float(mean))
     refitted, residuals, left_open = list[dict[str, Any]](), np.empty_like(measurements.positions), 0
     for name, rows in zip(measurements.sessions or (None,), measurements.session_rows, strict=True):
