@@ -30,7 +30,6 @@ from identification.model.placed import (
     one_unnamed,
     placed_model,
     start_at_base,
-    with_base,
     with_markers,
     with_open_base,
     with_sessions,
@@ -189,13 +188,8 @@ def validate(arm: Arm, measurements: Measurements, refit: str = "base") -> Valid
 def drawing_residuals(arm: Arm, measurements: Measurements) -> Array:
     """(m, d) residuals [mm] of an arm as it is drawn, without effects and calibration, placed as a fit to these
     measurements places it: a base for each session, one place for a measured point that several sessions share."""
-    chain = replace(one_unnamed(arm.chain, measurements), settled=arm.chain.drawn)
-    drawing = with_base(replace(arm, chain=chain, effects=(), calibration=None))
-    model = Model(with_sessions(drawing, measurements))
-    free = {p.name for p in model.parameters if p.kind in (BASE, TOOL) or p.name.startswith(f"{SESSIONS}.")}
-    free |= {*chain.standing}
-    held = {name: value for name, value in model.best_known.items() if name not in free}
-    return estimate(replace(model, held=held), measurements).residuals_after
+    drawing = replace(arm, chain=replace(arm.chain, settled=arm.chain.drawn), effects=(), calibration=None)
+    return placed(with_sessions(drawing, measurements), measurements, measurements.conditions)[2]
 
 
 def _refitted(arm: Arm, measurements: Measurements, refit: str) -> tuple[list[dict[str, Any]], Array, int]:
@@ -250,7 +244,8 @@ def placed(
     else:
         chain = replace(one_unnamed(chain, named), settled=chain.drawn)
         model = placed_model(Model(replace(with_open_base(arm), chain=chain)), named)
-        free |= {p.name for p in model.geometry_parameters if p.kind in (BASE, TOOL)} | {*chain.standing}
+        places = (p.name for p in model.all_parameters if p.kind in (BASE, TOOL) or p.name.startswith(f"{SESSIONS}."))
+        free = {*places, *chain.standing}
         if refit == "offsets":
             free |= {f"{JOINT_OFFSET}:{j}" for j in range(2, arm.links + (TOOL in chain.settled))}
     model = replace(model, held={name: value for name, value in model.best_known.items() if name not in free})
