@@ -416,7 +416,7 @@ def identify_files(
         refusal = "the fit is implausible; --force writes it all the same"
     if fitted.not_identifiable or (refusal and asked_for):
         lines += [f"{path} was not written: {refusal}" for path in asked_for]
-        return Answer(result, shown.identification_document(fitted, result, hidden).plus(*lines), fitted, 1, doubts)
+        return Answer(result, fitted.document(result, hidden).plus(*lines), fitted, 1, doubts)
     if out is not None:
         calibration = without_sessions(fitted.calibration().about(set(fitted.names) - hidden))
         for before in (bare.calibration if fitted.held else None, None if old is None else old.calibration):
@@ -427,7 +427,7 @@ def identify_files(
         files[urdf] = "corrected URDF file", corrected_urdf(arm, fitted.geometry)
         labels = ", ".join(effect.label for effect in fitted.model.effects)
         lines += [f"a URDF file has no effects: {labels} left out"] if labels else []
-    document = shown.identification_document(fitted, result, hidden).plus(*lines)
+    document = fitted.document(result, hidden).plus(*lines)
     actions = shown.identification_actions(result, str(arm), str(data), out, diagnosed=diagnosed(bare))
     return Answer(result, replace(document, actions=actions), fitted, warnings=doubts, files=files)
 

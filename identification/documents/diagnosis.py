@@ -396,7 +396,7 @@ def untested(skipped: Mapping[str, str]) -> list[str]:
 
 
 def detectability_document(sees: Detectability) -> Document:
-    """Visible fraction, smallest size and look-alikes of every effect."""
+    """Visible fraction, smallest size and look-alikes of every effect, and what cannot be tested."""
     rows = []
     for name, visible in zip(sees.names, sees.norm_fractions, strict=True):
         alike = [f"{other} ({likeness:.2f})" for one, other, likeness in sees.pairs() if one == name]

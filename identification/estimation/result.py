@@ -21,7 +21,7 @@ from scipy.special import chdtrc
 
 from identification.arm import Arm, Calibration
 from identification.arrays import Array, readonly
-from identification.document import Document, Documented
+from identification.document import Documented
 from identification.documents import identification as shown
 from identification.errors import InputError
 from identification.estimation.doubts import hardly_determined, tip_of
@@ -281,9 +281,7 @@ class Identification(Documented):
             if p.name not in self.held
         ]
 
-    def document(self) -> Document:
-        """What `armcal identify` says of it."""
-        return shown.identification_document(self)
+    document = shown.identification_document
 
 
 # -- corrected values --------------------------------------------------------------------------------------------------

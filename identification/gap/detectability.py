@@ -17,7 +17,7 @@ from scipy.special import betaincinv, ncfdtr, nctdtr, stdtrit
 
 from identification.arm import Arm
 from identification.arrays import Array, readonly
-from identification.document import Document, Documented
+from identification.document import Documented
 from identification.documents.diagnosis import detectability_document
 from identification.errors import InputError
 from identification.estimation.doubts import SPARE
@@ -88,9 +88,7 @@ class Detectability(Documented):
             "never_visible": dict(self.aliases),
         }
 
-    def document(self) -> Document:
-        """Visible fraction, smallest size and look-alikes of every effect, and what cannot be tested."""
-        return detectability_document(self)
+    document = detectability_document
 
 
 @single_thread()  # the same bits, whatever the number of threads

@@ -5,10 +5,9 @@ the probabilities of explanations (identification/README.md, "Verdict and predic
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple, Self
 
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 
 from identification.arm import DIAGNOSED, Arm, Calibration, EffectSpec
 from identification.arrays import Array
-from identification.document import Document, Documented, html
+from identification.document import Documented, html
 from identification.documents import diagnosis as words
 from identification.documents.identification import unit_key
 from identification.errors import InputError
@@ -392,14 +391,7 @@ class Diagnosis(Documented):
         }
         return data | {"sentence": " ".join([*words.diagnosis_verdict(data), *words.findings(data)])}
 
-    def document(
-        self,
-        files: Sequence[str] = ("arm.toml", "data.csv"),
-        written: Path | None = None,
-        nominal: float | None = None,
-    ) -> Document:
-        """All of it, with pictures: `documents.diagnosis.diagnosis_document`."""
-        return words.diagnosis_document(self, files, written, nominal)
+    document = words.diagnosis_document
 
     def _repr_html_(self) -> str:
         return html(self.document(), picture=None)
