@@ -201,10 +201,8 @@ def distances(residuals: Array) -> Array:
 def repeats_of(postures: NDArray[np.int64], *others: ArrayLike | None) -> NDArray[np.int64]:
     """(m,) equal numbers for rows of equal posture (m,) and equal in others (m,), marker, session and payload: these
     are no repeats, since what the model leaves of each is another error."""
-    columns = [np.asarray(numbers) for numbers in (postures, *others) if numbers is not None]
-    if len(columns) == 1:
-        return postures
-    return np.unique(np.column_stack(columns), axis=0, return_inverse=True)[1].ravel()
+    columns = np.column_stack([np.asarray(numbers) for numbers in (postures, *others) if numbers is not None])
+    return np.unique(columns, axis=0, return_inverse=True)[1].ravel()
 
 
 @dataclass(frozen=True, eq=False)
@@ -310,9 +308,8 @@ class Measurements(ByValue):
     @property
     def session_rows(self) -> tuple[NDArray[np.int64], ...]:
         """Row numbers of every session; of all rows where the data name none."""
-        if self.session is None:
-            return (np.arange(len(self)),)
-        return tuple(np.flatnonzero(self.session == name) for name in self.sessions)
+        numbers = self._numbers("session")
+        return tuple(np.flatnonzero(numbers == number) for number in np.unique(numbers))
 
     def _numbers(self, name: str) -> NDArray[np.int64]:
         """(m,) number of each row's session or marker, from 0; of all rows 0 where the data name none."""
@@ -320,11 +317,6 @@ class Measurements(ByValue):
             return np.zeros(len(self), dtype=np.int64)
         number = {label: k for k, label in enumerate(getattr(self, f"{name}_names"))}
         return np.array([number[label] for label in labels.tolist()], dtype=np.int64)
-
-    @property
-    def _session_numbers(self) -> NDArray[np.int64] | None:
-        """(m,) number of each row's session, from 0; None where there is but one."""
-        return None if len(self.session_names) < 2 else self._numbers("session")
 
     @property
     def marker_numbers(self) -> NDArray[np.int64]:
@@ -378,15 +370,14 @@ class Measurements(ByValue):
     @cached_property
     def repeat_numbers(self) -> NDArray[np.int64]:
         """(m,) equal numbers mark repeats: rows of one posture, marker, session and payload, which noise parts."""
-        return repeats_of(self.posture_numbers, self.marker_numbers, self._session_numbers, self.payload)
+        return repeats_of(self.posture_numbers, self.marker_numbers, self._numbers("session"), self.payload)
 
     @cached_property
     def originals(self) -> NDArray[np.int64]:
         """(m,) number of the first row of equal angles, position, orientation and marker, to the last digit: of a
         copied row, in this or another session, another number than its own."""
-        numbers = (self.marker_numbers, self.orientations)
-        other_columns = [np.reshape(column, (len(self), -1)) for column in numbers if column is not None]
-        rows = np.column_stack([self.postures, self.positions, *other_columns])
+        columns = (self.postures, self.positions, self.marker_numbers, self.orientations)
+        rows = np.column_stack([np.reshape(each, (len(self), -1)) for each in columns if each is not None])
         _, first, number = np.unique(rows, axis=0, return_index=True, return_inverse=True)
         return np.asarray(first[number.ravel()])
 
@@ -399,8 +390,7 @@ class Measurements(ByValue):
             time[rows] = (order[rows] - first) / length - 0.5 if length > 0.0 else 0.0
         directions = np.nan_to_num(self._directions, nan=0.0)
         temperature = None if self.temperature is None else self.temperature - self.reference_temperature
-        numbers = (self._session_numbers, self.marker_numbers)
-        session, marker = (None if each is None else each.astype(float) for each in numbers)
+        session, marker = (self._numbers(name).astype(float) for name in ("session", "marker"))
         return Conditions(self.payload, temperature, time, directions, session, self._past, marker, self.orientations)
 
     @property

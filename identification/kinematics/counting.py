@@ -186,12 +186,8 @@ def joint_range(postures: Array, joint_types: Sequence[str]) -> dict[str, list[l
 
 def range_of(provenance: Mapping[str, Any], joint_types: Sequence[str]) -> Array | None:
     """(2, n) least and largest positions [rad, mm] that `joint_range` wrote; None where they are not there."""
-    slides = np.array([kind == PRISMATIC for kind in joint_types], dtype=bool)
-    ends = np.empty((2, len(slides)))
-    for kind, of_kind in ((REVOLUTE, ~slides), (PRISMATIC, slides)):
-        count = int(of_kind.sum())
-        limits = np.array(provenance.get(KEYS[kind], []), dtype=float) if count else np.empty((0, 2))
-        if limits.shape != (count, 2):
-            return None
-        ends[:, of_kind] = limits.T / FILE_UNITS[JOINT_UNITS[kind]][1]
-    return ends
+    limits = {kind: [*provenance.get(KEYS[kind], [])] for kind in joint_types}
+    if any(len(pairs) != [*joint_types].count(kind) for kind, pairs in limits.items()):
+        return None
+    factors = [FILE_UNITS[JOINT_UNITS[kind]][1] for kind in joint_types]
+    return np.array([limits[kind].pop(0) for kind in joint_types]).T / factors
