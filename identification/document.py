@@ -59,8 +59,7 @@ class Sheet:
         from rich.text import Text
 
         rows, rest = self.cut(self.most)
-        bare: dict[str, Any] = {"show_header": False, "box": None, "padding": (0, 2, 0, 0)}
-        table = Table(box=box.SIMPLE_HEAD) if self.headings else Table(**bare)
+        table = Table(box=box.SIMPLE_HEAD) if self.headings else Table.grid(padding=(0, 2, 0, 0))
         for k, heading in enumerate(self.headings):
             cells = [row[k].strip() for row in rows if row[k].strip()]
             figures = 2 * sum(bool(NUMBER.fullmatch(cell)) for cell in cells) > len(cells)

@@ -21,7 +21,7 @@ from identification.estimation.problem import Problem, check_shape
 from identification.estimation.uncertainty import LEVEL_95, freedom_of, gained_squares, quantile_95
 from identification.information import spectrum
 from identification.kinematics.chain import BASE, TOOL, standing_in
-from identification.kinematics.frames import to_angles
+from identification.kinematics.frames import pose_table
 from identification.kinematics.parameters import JOINT_OFFSET, error_names
 from identification.measurements import MOST, POINT, Conditions, Measurements, distances, rms_distance
 from identification.model import Model
@@ -213,10 +213,9 @@ def _refitted(arm: Arm, measurements: Measurements, refit: str) -> tuple[list[di
         # where base and measured points are, by the names of their parameters, in place of their corrections
         stands, places = standing_in(model.arm.chain, model.parameters.mapping(values)), dict[str, float]()
         for place, frame in {BASE: stands.base, **{f"{TOOL}[{n}]": at for n, at in stands.tools.items()}}.items():
-            six = [*frame[:3, 3].tolist(), *to_angles(frame[:3, :3]).tolist()]
-            places |= dict(zip(error_names(place), six, strict=True))
+            places |= dict(zip(error_names(place), pose_table(frame).values(), strict=True))
         refitted += [
-            {"session": name, "name": p.name, "unit": p.file_unit, "value": places.get(p.name, value) * p.to_file}
+            {"session": name, "name": p.name, "unit": p.file_unit, "value": places.get(p.name, value * p.to_file)}
             for p, value in zip(model.parameters, values.tolist(), strict=True)
         ]
     return refitted, residuals, left_open

@@ -76,7 +76,8 @@ def inspect(arm: Arm, measurements: Measurements) -> Inspection:
     whole, arm = arm, without_prior_effects(arm)
     held = len(Model(whole).names) - len(Model(arm).names)
     readings = read_differently(arm, measurements)
-    units, fit = data_warnings(measurements, arm) if readings.other_units else [], None
+    misread = readings.better is not None and readings.better.other_units
+    units, fit = data_warnings(measurements, arm) if misread else [], None
     if not units:
         try:
             fit = with_repeats_doubted(estimate(Model(with_sessions(arm, measurements)), measurements), measurements)

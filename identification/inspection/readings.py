@@ -170,11 +170,6 @@ class Readings:
         nothing = "no reading with a few other signs, zeros, columns or mirrored axes explains the positions"
         return [f"{nothing}: several faults at once, or another arm? Closest: {ways}, which leaves {gain}"]
 
-    @property
-    def other_units(self) -> list[str]:
-        """That angles or lengths look as if they were in others, in a sentence; none where they do not."""
-        return self.sentences if self.better is not None and self.better.other_units else []
-
     def to_json(self) -> dict[str, Any] | None:
         """`better_reading` of `check` (identification/files/README.md, "JSON keys")."""
         if self.better is None:
@@ -383,7 +378,7 @@ def _spread(points: Array) -> float:
 def data_warnings(measurements: Measurements, arm: Arm) -> list[str]:
     """Sentences about units that the numbers contradict and other conventions of orientations; and of an arm that
     reaches farther than any does. Raises `InputError` if the numbers of joints differ."""
-    units = read_differently(arm, measurements, search=False).other_units
+    units = read_differently(arm, measurements, search=False).sentences
     if arm.reach > 20000.0:  # [mm]
         how = "lengths that were written in millimetres there come out 1000 times too large"
         units.insert(0, f"the arm of the file reaches {arm.reach / 1000.0:.4g} m: a URDF has metres, and {how}")

@@ -312,7 +312,7 @@ def simulated(span: float, *, angles: float = 1.0, lengths: float = 1.0) -> Meas
 def certain(data: Measurements, arm: Arm) -> str:
     """What is said of units that are beyond doubt."""
     readings = read_differently(arm, data, search=False)
-    assert readings.other_units == data_warnings(data, arm)
+    assert readings.sentences == data_warnings(data, arm)
     return readings.sentences[0] if readings.certain else ""
 
 
