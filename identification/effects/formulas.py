@@ -121,10 +121,7 @@ of_joint(
 
 def _coupling(self: Effect) -> list[Number]:
     """Typical: as of `gear_ratio`: what a controller leaves of a coupling."""
-    here, before = (
-        at_joint(self.chain, self.joint_index + 1, "rad")[1],
-        at_joint(self.chain, self.joint_index, "rad")[1],
-    )
+    before, here = (at_joint(self.chain, self.joint_index + k, "rad")[1] for k in (0, 1))
     return [Number("c", "1", 1e-4 * here / before, LEVER)]
 
 

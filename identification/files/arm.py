@@ -157,7 +157,8 @@ def _drawn_chain(file: Any, urdf: Urdf | None) -> KinematicChain:
         limited = [kind for kind, table in tables.items() if table is not None]
         chain = urdf.chain(file.base_link, file.tip_link, limited)
     else:
-        rows = [DHRow(row.a_mm, row.alpha_deg, row.d_mm, row.offset_deg, row.joint, TURN) for row in file.dh]
+        limits = None if file.joint_limits_mm is None else TURN  # those of joints that slide are given elsewhere
+        rows = [DHRow(row.a_mm, row.alpha_deg, row.d_mm, row.offset_deg, row.joint, limits) for row in file.dh]
         chain = chains.chain_of(rows, next((row.convention for row in file.dh if row.convention), STANDARD))
     if file.base is not None:
         chain = replace(chain, base=_pose(file.base), settled=chain.settled | {BASE})

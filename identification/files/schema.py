@@ -215,9 +215,6 @@ def _together(file: Any) -> Any:
         _refuse("urdf, dh", f"{state}, allowed: a URDF file or [[dh]] tables")
     if len(conventions := dict.fromkeys(row.convention for row in file.dh or () if row.convention)) > 1:
         _refuse("dh", f"found conventions {' and '.join(conventions)}, allowed: one for all rows")
-    for k, row in enumerate(file.dh or (), start=1):
-        if row.joint == "prismatic" and file.joint_limits_mm is None:
-            _refuse(f"dh[{k}]", "a prismatic joint without limits, allowed: lower and upper in [joint_limits_mm]")
     for key in ("base_link", "tip_link"):
         if (getattr(file, key) is None) != (file.urdf is None):
             _refuse(key, f"{'is missing' if file.urdf else 'found without urdf'}, allowed: with urdf, a link of it")

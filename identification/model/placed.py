@@ -204,8 +204,7 @@ def with_base(arm: Arm) -> Arm:
 
 def with_open_base(arm: Arm) -> Arm:
     """The arm with the effects that say where it stands, their values to be estimated."""
-    stands = arm.chain.standing_effects
-    return arm.with_effects(*(spec for spec in arm.effects if spec.name not in stands), *map(EffectSpec, stands))
+    return with_base(arm.with_effects(*(s for s in arm.effects if s.name not in arm.chain.standing_effects)))
 
 
 def start_at_base(model: Model, measurements: Measurements, conditions: Conditions) -> Array:
