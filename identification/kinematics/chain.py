@@ -101,12 +101,6 @@ class Joint(ByValue):
         object.__setattr__(self, "origin", readonly(self.origin))
         object.__setattr__(self, "axis", readonly(np.asarray(self.axis, dtype=float) / length))
 
-    @property
-    def along(self) -> int | None:
-        """Number of the axis of its frame that is the joint's, None: it lies between."""
-        k = int(np.argmax(np.abs(self.axis)))
-        return k if abs(self.axis[k]) >= 1.0 - 1e-12 else None  # but for rounding
-
     def moved(self, frame: Frame, q: ca.SX) -> Frame:
         """The joint's frame after it moved by q [rad, mm]: turned so that its own z axis is the joint's, which is one
         symbolic rotation instead of Rodrigues' formula."""
@@ -239,9 +233,9 @@ class KinematicChain(ByValue):
         """
         stands = BASE in self.settled
         hidden = {
-            error_names(j)[joint.along + DIMENSION * (joint.type == REVOLUTE)]
+            error_names(j)[k + DIMENSION * (joint.type == REVOLUTE)]
             for j, joint in enumerate(self.joints, start=1)
-            if joint.along is not None
+            for k in np.flatnonzero(np.abs(joint.axis) >= 1.0 - 1e-12)  # but for rounding; none of one between the axes
         }
         hidden |= frozenset() if stands else self.instrument.hidden(self.base)
         hidden |= {self._turning_with_targets} if self.instrument.own_targets else frozenset()
