@@ -17,6 +17,7 @@ from identification.gap.confirmation import Confirmation, HeldOut, confirm, pred
 from identification.gap.fit import Fitted, Rows
 from identification.gap.search import posterior_of
 from identification.kinematics.chain import KinematicChain
+from identification.validate import placed
 from tests.doe.six_axis import CHAIN, REFLECTOR
 
 SIGMA = 0.1  # per coordinate
@@ -184,8 +185,8 @@ CELL, SHIFT = replace(CHAIN, tools={"A": np.zeros(3), "B": REFLECTOR}), np.array
 OTHER = np.array([25.0, -60.0, 10.0])  # from one point to the other, in the tip's frame
 
 
-def left_again(seed: int, moved: str, chain: KinematicChain, rows: int = 60) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Of points A and B in turns, measured from another place, and these points moved."""
+def set_up(seed: int, moved: str, chain: KinematicChain, rows: int = 60) -> Measurements:
+    """Rows of points A and B in turns, measured from another place, and these points moved."""
     generator, d = np.random.default_rng(seed), chain.dimension
     q, markers = generator.uniform(-2.0, 2.0, (rows, len(chain))), np.tile(["A", "B"], rows // 2)
     tips, points = chain.tip_frames(q), np.zeros((rows, 3))
@@ -193,24 +194,33 @@ def left_again(seed: int, moved: str, chain: KinematicChain, rows: int = 60) -> 
         points = np.array([chain.tools[name][:3, 3] + OTHER * (name in moved) for name in markers.tolist()])
     at = tips[:, :3, 3] + np.einsum("mij,mj->mi", tips[:, :3, :3], points)
     measured = TURNS[d - 2].apply(at)[:, :d] + SHIFT[:d] + NOISE * generator.standard_normal((rows, d))
-    names = {"marker": markers} if d == 3 else {}
-    data, model = Measurements(q, measured, **names), Model(Arm(chain))
+    return Measurements(q, measured, **({"marker": markers} if d == 3 else {}))
+
+
+def left_again(data: Measurements, chain: KinematicChain) -> tuple[np.ndarray, tuple[str, ...]]:
+    """(m, d) residuals of the arm as drawn, and what was fitted."""
+    model = Model(Arm(chain))
     seen, one = HeldOut(data, data.conditions, "other rows", True), Fitted(model, model.values, Rows.of(data))
     return seen.residuals(one, one)[1:]
 
 
-@pytest.mark.parametrize(("moved", "chain"), [("", CELL), ("AB", CELL), ("B", CELL), ("", Arm([200.0, 100.0]).chain)])
-def test_nothing_but_noise_is_left_of_another_set_up(moved: str, chain: KinematicChain) -> None:
-    left, words = left_again(1, moved, chain)
+@pytest.mark.parametrize(
+    ("moved", "chain", "count"),
+    [("", CELL, 12), ("AB", CELL, 12), ("B", CELL, 12), ("", Arm([200.0, 100.0]).chain, 3)],
+)
+def test_nothing_but_noise_is_left_of_another_set_up(moved: str, chain: KinematicChain, count: int) -> None:
+    data = set_up(1, moved, chain)
+    left, words = left_again(data, chain)
     # of 120 coordinates or more: 6 % is the standard deviation of such an estimate; the values fitted cost nothing
     assert np.sqrt(np.mean(left**2)) == pytest.approx(NOISE, rel=0.15)
     assert words == ("base", "reflector A", "reflector B")[: 3 if chain is CELL else 1]
+    assert placed(Arm(chain), data, data.conditions)[3] == count
 
 
 def test_residuals_do_not_shrink_by_what_is_fitted() -> None:
     """Fits of 6 + 6 values to 72 coordinates take a part of the noise, which is given back: on average over 100 sets
     the mean square is that of the noise, to 3 of its standard deviations."""
-    means = [float(np.mean(left_again(seed, "A", CELL, 24)[0] ** 2)) for seed in range(100)]
+    means = [float(np.mean(left_again(set_up(seed, "A", CELL, 24), CELL)[0] ** 2)) for seed in range(100)]
     error = NOISE**2 * np.sqrt(2.0 / (72 - 12) / 100)
     assert np.mean(means) == pytest.approx(NOISE**2, abs=3.0 * error)
 
