@@ -308,20 +308,15 @@ class Measurements(ByValue):
     @property
     def session_rows(self) -> tuple[NDArray[np.int64], ...]:
         """Row numbers of every session; of all rows where the data name none."""
-        numbers = self._numbers("session")
+        numbers = self.numbers("session")
         return tuple(np.flatnonzero(numbers == number) for number in np.unique(numbers))
 
-    def _numbers(self, name: str) -> NDArray[np.int64]:
-        """(m,) number of each row's session or marker, from 0; of all rows 0 where the data name none."""
+    def numbers(self, name: str) -> NDArray[np.int64]:
+        """(m,) number of each row's `session` or `marker` among their names, from 0; 0 where the data name none."""
         if (labels := getattr(self, name)) is None:
             return np.zeros(len(self), dtype=np.int64)
         number = {label: k for k, label in enumerate(getattr(self, f"{name}_names"))}
         return np.array([number[label] for label in labels.tolist()], dtype=np.int64)
-
-    @property
-    def marker_numbers(self) -> NDArray[np.int64]:
-        """(m,) number of each row's measured point among `marker_names`, 0 where there is one."""
-        return self._numbers("marker")
 
     @property
     def _order(self) -> Array:
@@ -370,13 +365,13 @@ class Measurements(ByValue):
     @cached_property
     def repeat_numbers(self) -> NDArray[np.int64]:
         """(m,) equal numbers mark repeats: rows of one posture, marker, session and payload, which noise parts."""
-        return repeats_of(self.posture_numbers, self.marker_numbers, self._numbers("session"), self.payload)
+        return repeats_of(self.posture_numbers, self.numbers("marker"), self.numbers("session"), self.payload)
 
     @cached_property
     def originals(self) -> NDArray[np.int64]:
         """(m,) number of the first row of equal angles, position, orientation and marker, to the last digit: of a
         copied row, in this or another session, another number than its own."""
-        columns = (self.postures, self.positions, self.marker_numbers, self.orientations)
+        columns = (self.postures, self.positions, self.numbers("marker"), self.orientations)
         rows = np.column_stack([np.reshape(each, (len(self), -1)) for each in columns if each is not None])
         _, first, number = np.unique(rows, axis=0, return_index=True, return_inverse=True)
         return np.asarray(first[number.ravel()])
@@ -390,7 +385,7 @@ class Measurements(ByValue):
             time[rows] = (order[rows] - first) / length - 0.5 if length > 0.0 else 0.0
         directions = np.nan_to_num(self._directions, nan=0.0)
         temperature = None if self.temperature is None else self.temperature - self.reference_temperature
-        session, marker = (self._numbers(name).astype(float) for name in ("session", "marker"))
+        session, marker = (self.numbers(name).astype(float) for name in ("session", "marker"))
         return Conditions(self.payload, temperature, time, directions, session, self._past, marker, self.orientations)
 
     @property

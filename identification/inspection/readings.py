@@ -339,10 +339,9 @@ def _rows(arm: Arm, measurements: Measurements) -> tuple[Array, Array, bool]:
     far from all others left out; and whether they are so few that another reading would fit by chance: of a pose, of a
     point where it is open, and of one number more."""
     rows = np.arange(len(measurements))
-    for names in (measurements.marker_numbers, measurements.session):  # between sessions the base may have moved
-        if names is not None:
-            each, counts = np.unique(names[rows], return_counts=True)
-            rows = rows[names[rows] == each[counts.argmax()]]
+    for name in ("marker", "session"):  # between sessions the base may have moved
+        numbers = measurements.numbers(name)
+        rows = rows[numbers[rows] == np.bincount(numbers[rows]).argmax()]
     # 200 of them: a wrong sign shows in far fewer
     rows = rows[np.unique(np.linspace(0, len(rows) - 1, 200).astype(int))]
     x = measurements.positions[rows, : arm.chain.instrument.dimension]  # of poses the points

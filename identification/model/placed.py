@@ -72,7 +72,7 @@ def placed_model(model: Model, measurements: Measurements) -> Model:
     if own_targets:
         frames = standing.tip_frames(measurements.postures, geometry) @ next(iter(standing.tools.values()))
         readings, names = measurements.positions[:, : chain.instrument.dimension], measurements.marker_names or ("1",)
-        targets = frames[:, : chain.dimension, 3], readings, measurements.marker_numbers, names
+        targets = frames[:, : chain.dimension, 3], readings, measurements.numbers("marker"), names
         chain = replace(chain, instrument=chain.instrument.with_targets(*targets))
     return replace(model, arm=replace(arm, chain=chain, calibration=calibration))
 
@@ -90,7 +90,7 @@ def spread_rows(measurements: Measurements, rows: NDArray[np.int64]) -> Measurem
 def _standing_chain(chain: KinematicChain, measurements: Measurements, values: Mapping[str, float]) -> KinematicChain:
     """The chain where the closed form finds its base and its measured points or frames, as far as they are not known;
     values : best known errors of the geometry."""
-    markers = measurements.marker_numbers
+    markers = measurements.numbers("marker")
     most = markers == np.bincount(markers).argmax()
     if chain.instrument.own_targets:  # one measured point, from the rows of the target that is touched most
         measurements, markers, most = measurements.rows(most), np.zeros(int(most.sum()), dtype=np.int64), most[most]
@@ -125,13 +125,13 @@ def session_bases(arm: Arm, measurements: Measurements) -> tuple[KinematicChain,
         if name in parts:
             rows = spread_rows(measurements, parts[name])
             if bases:  # where these rows find the base, then the points that were not seen before
-                old = seen[rows.marker_numbers]
+                old = seen[rows.numbers("marker")]
                 held = frozenset({TOOL}) if old.any() else frozenset()
                 as_before = rows.rows(old) if old.any() else rows
                 standing = _standing_chain(replace(standing, settled=held), as_before, values)
                 if old.any() and not old.all():
                     standing = _standing_chain(replace(standing, settled=frozenset({BASE})), rows.rows(~old), values)
-            seen = seen | np.isin(np.arange(len(seen)), rows.marker_numbers)
+            seen = seen | np.isin(np.arange(len(seen)), rows.numbers("marker"))
         first = first if bases else seen
         bases.append(standing.base)
     later = {name: at for (name, at), seen in zip(standing.tools.items(), first.tolist(), strict=True) if not seen}
