@@ -209,8 +209,9 @@ def check_files(
     loaded = load_arm(arm, package_dir)
     allowed = constraints(Model(loaded)) if loaded.cell or loaded.constraints else ()
     bodies = [each for each in allowed if each.kind == "clearance"]
-    of_plans = re.compile(r"run|kind|weight|direction\d+|q\d+_(deg|mm)")
-    if all(map(of_plans.fullmatch, read_table(data).frame.columns)):
+    of_plans = re.compile(r"run|kind|weight|payload_kg|temperature_C|direction\d+|q\d+_(deg|mm)")
+    table = read_table(data)  # what touches something has no readings besides
+    if all(map(of_plans.fullmatch, table.frame.columns)) and ("run" in table or not loaded.chain.instrument.contact):
         plan, driven = (Plan.load(data, loaded.joint_types, vias=vias) for vias in (False, True))
         q = plan.postures
         beyond = [np.minimum(q - loaded.lower, loaded.upper - q) + 1e-6]

@@ -210,7 +210,7 @@ def test_a_row_that_breaks_a_constraint_and_a_way_point_that_is_not_seen(folder:
     folder.write("plan.csv", "run,kind,q1_deg,q2_deg\n1,measure,10,5\n,via,90,0\n2,measure,-10,-5\n")
     folder.write("arm.toml", arm + sight)
     assert folder.said("program arm.toml plan.csv --robot kuka --out plan.src")["vias"] == 1
-    folder.write("hidden.csv", "run,q1_deg,q2_deg\n1,10,5\n2,90,0\n")
+    folder.write("hidden.csv", "run,q1_deg,q2_deg,payload_kg,temperature_C\n1,10,5,0,20\n2,90,0,3,25\n")
     assert [folder.said(f"check arm.toml {name}.csv")["outside_limits"] for name in ("plan", "hidden")] == [[], [2]]
     folder.write("arm.toml", arm + circle)
     folder.refused("program arm.toml plan.csv --robot kuka --out new.src", "plan.csv: row 2: breaks", "keep_out_circle")
