@@ -19,7 +19,7 @@ if TYPE_CHECKING:  # isort: off
     from identification.kinematics.counting import turned_into
     from identification.kinematics.chain import DHRow, chain_of, planar_chain
     from identification.instruments.base import Coordinate, Instrument, register_instrument
-    from identification.files.arm import load_arm, with_found
+    from identification.files.arm import load_arm, with_effects
     from identification.files.measurement import Plan, load_measurements
     from identification.workflow import load_sessions
     from identification.campaign import campaign_document

@@ -93,10 +93,10 @@ def load_sessions(paths: Sequence[Path], arm: Arm) -> Measurements:
 
 def arm_files(path: Path, effects: Sequence[EffectSpec], calibration: Calibration, out: Path, name: str) -> Files:
     """The arm file of `path` with these effects and this calibration, as `out`, and its URDF file if not there yet."""
-    from identification.files.arm import with_found
+    from identification.files.arm import with_effects
 
     folder, urdf = Path(path).parent, read_toml(path).get("urdf")
-    text = with_found(read_text(path), effects, calibration, folder)
+    text = with_effects(read_text(path), effects, calibration, folder)
     files: Files = {out: (name, text)}
     if urdf is not None:
         copy, content = Path(out).parent / urdf, (folder / urdf).read_bytes()

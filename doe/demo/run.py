@@ -20,7 +20,7 @@ from doe.report.design import design_verdict, plan_section
 from doe.report.figures import AFTER, BEFORE, LIMIT, certificate_figure, draw_arm
 from doe.solvers import solve
 from doe.studies.blind.simulator import TrueArm, position, session, shift, turn
-from identification import Arm, Array, Measurements, Plan, Progress, design_model, load_arm, rms_distance, with_found
+from identification import Arm, Array, Measurements, Plan, Progress, design_model, load_arm, rms_distance, with_effects
 from identification.document import Answer, Document, Pictures, Section, Sheet, number
 from identification.files.io import write_together
 from identification.workflow import VERBS, Written
@@ -147,7 +147,7 @@ def run_demo(
     progress(4, 8, "diagnosis")
     diagnosed = diagnose(path, (rows,), holdout=directory / "fresh.csv", seed=seed)
     progress(5, 8, "identification again")
-    write("extended.toml", with_found(path.read_text(), diagnosed.result.named.specs, folder=directory))
+    write("extended.toml", with_effects(path.read_text(), diagnosed.result.named.specs, folder=directory))
     named = Written(directory / "extended.toml")
     extended = identify(named, rows, out=named, force=True)
     progress(6, 8, "commands")

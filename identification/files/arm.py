@@ -351,7 +351,7 @@ def corrected_urdf(path: PathLike, geometry: CorrectedGeometry | None) -> str:
 
 
 # -- writing -----------------------------------------------------------------------------------------------------------
-def with_found(
+def with_effects(
     text: str, specs: Iterable[EffectSpec] = (), calibration: Calibration | None = None, folder: PathLike = "."
 ) -> str:
     """`text` of an arm file with what was found written into it; comments and order of the rest stay.

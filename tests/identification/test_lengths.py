@@ -28,7 +28,7 @@ from identification import (
     load_measurements,
     spectrum,
 )
-from identification.files.arm import load_arm, with_found
+from identification.files.arm import load_arm, with_effects
 from identification.files.measurement import measurement_text
 from identification.inspection.readings import data_warnings
 from identification.instruments import Distance, Instrument, Plane, Sphere, Tracker
@@ -247,7 +247,7 @@ def test_files_round_trip(tmp_path: Path) -> None:
     read = load_measurements(tmp_path / "data.csv", arm)
     np.testing.assert_allclose(read.orientations, data.orientations, atol=1e-13)
     found = estimate(Model(arm), read)
-    (tmp_path / "out.toml").write_text(with_found(TEXT, calibration=found.calibration()))
+    (tmp_path / "out.toml").write_text(with_effects(TEXT, calibration=found.calibration()))
     back = load_arm(tmp_path / "out.toml")
     fresh = np.random.default_rng(8).uniform(-2.0, 2.0, (10, 5))
     one, other = Model(found.calibrated_arm()), Model(back)

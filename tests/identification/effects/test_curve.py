@@ -13,7 +13,7 @@ from identification import Arm, Calibration, EffectSpec, InputError, Measurement
 from identification.arm import ErrorCurve
 from identification.compensate import compensate
 from identification.effects import build
-from identification.files.arm import load_arm, with_found
+from identification.files.arm import load_arm, with_effects
 from identification.kinematics.frames import from_angles, pose
 from identification.simulate import simulate
 from identification.validate import validate
@@ -85,7 +85,7 @@ def test_geometry_that_belongs_to_the_curve(tmp_path: Path) -> None:
     own = {"length_error:1": 0.3, "joint_offset:1": -2e-4, "joint_offset:2": 1e-4, "base_offset.x0": 0.2}
     curve = replace(CURVE, geometry={**own, "base_offset.y0": -0.1})
     arm = ARM.with_effects(replace(SPEC, curve=curve), EffectSpec("base_offset"))
-    (path := tmp_path / "arm.toml").write_text(with_found(f"links_mm = {LENGTHS}\n", arm.effects))
+    (path := tmp_path / "arm.toml").write_text(with_effects(f"links_mm = {LENGTHS}\n", arm.effects))
     assert "[effects.geometry]" in path.read_text()
     assert f'"joint_offset:1" = {np.degrees(-2e-4):.8f}'[:-3] in path.read_text()
     assert load_arm(path).effects[0].curve.geometry == pytest.approx(dict(curve.geometry))

@@ -19,7 +19,7 @@ from identification import Arm, Calibration, DHRow, EffectSpec, Identification, 
 from identification.documents.identification import corrected_section, corrected_table
 from identification.estimation.problem import Prior
 from identification.estimation.result import CorrectedValue, corrected_values, dh_table
-from identification.files.arm import load_arm, with_found
+from identification.files.arm import load_arm, with_effects
 from identification.kinematics.chain import corrected, corrected_links, drawn_links
 from tests.identification.estimation.cases import LENGTHS, arm, data, plan
 from tests.identification.kinematics.test_spatial import UR10, row_of_table
@@ -150,7 +150,7 @@ def test_a_calibrated_file_has_the_intervals_of_its_fit(kind: str, tmp_path: Pat
     found = estimate(model, rows, sigma={"scatter": "estimated", "given": "given"}.get(kind))
     assert found.uncertainty.kind == kind
     text = "links_mm = [260.0, 180.0, 120.0]\n[measurement]\nsigma_mm = 0.1\n"
-    (tmp_path / "arm.toml").write_text(with_found(text, calibration=found.calibration()))
+    (tmp_path / "arm.toml").write_text(with_effects(text, calibration=found.calibration()))
     for row, kept in zip(found.corrected_values, corrected_values(load_arm(tmp_path / "arm.toml")), strict=True):
         assert (kept.low_95, kept.high_95) == pytest.approx((row.low_95, row.high_95), rel=1e-5, abs=1e-9)
 

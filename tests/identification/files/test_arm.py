@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from identification import InputError, Model, readonly
 from identification.arm import Arm, Calibration, EffectSpec, ErrorCurve, Gravity, Machining
-from identification.files.arm import arm_from_tables, load_arm, with_found
+from identification.files.arm import arm_from_tables, load_arm, with_effects
 from identification.files.urdf import read_urdf
 from identification.instruments import Distance, Instrument, PlanarDistance, Plane, Sphere
 from identification.kinematics.chain import BASE, TOOL, DHRow
@@ -210,13 +210,13 @@ def test_calibration_is_replaced_where_it_stands_and_the_rest_stays(tmp_path: Pa
     text = FULL.replace("# what was found\n", "").replace("[measurement]\n", "# tracker\n[measurement]\n")
     start, end = text.index("[calibration]"), len(text)
     moved = text[: text.index("# tracker")] + text[start:end] + "\n" + text[text.index("# tracker") : start]
-    written = with_found(moved, calibration=found)
+    written = with_effects(moved, calibration=found)
     new = (
         "[calibration]\nlength_errors_mm = [1.0, 2.0, 3.0, 4.5]\njoint_offsets_deg = [30.0, 0.0, 0.0, -0.1]\n\n"
         '[calibration.provenance]\nfile = "new.csv"\n'
     )
     assert written == moved.replace(text[start:end], new)
-    assert with_found(written, calibration=found) == written
+    assert with_effects(written, calibration=found) == written
     same(found, load(tmp_path, written).calibration)
 
 
@@ -231,42 +231,42 @@ def test_calibration_is_replaced_where_it_stands_and_the_rest_stays(tmp_path: Pa
 )
 def test_calibration_in_unusual_layouts(tmp_path: Path, text: str) -> None:
     found = Calibration.of(readonly([1, 2]), readonly([0.1, 0.2]), provenance={"file": "b", "fit": {"rms_mm": 0.1}})
-    (tmp_path / "arm.toml").write_bytes(with_found(text, calibration=found).encode())
+    (tmp_path / "arm.toml").write_bytes(with_effects(text, calibration=found).encode())
     same(found, load_arm(tmp_path / "arm.toml").calibration)
 
 
 def test_provenance_leaves_out_what_toml_cannot_say() -> None:
     provenance = {"p_value": None, "rms": float("nan"), "fit": {"chi2": np.float64(2.0), "rows": (1, 2)}}
-    written = with_found(PLAIN, calibration=Calibration.of(readonly([1, 2]), readonly([0, 0]), provenance=provenance))
+    written = with_effects(PLAIN, calibration=Calibration.of(readonly([1, 2]), readonly([0, 0]), provenance=provenance))
     assert tomllib.loads(written)["calibration"]["provenance"] == {"fit": {"chi2": 2.0, "rows": [1, 2]}}
 
 
 def test_calibrations_that_do_not_fit_are_refused() -> None:
     with pytest.raises(InputError, match=r"calibration: unknown parameter 'length_error:3'"):
-        with_found(PLAIN, calibration=Calibration.of(readonly([1, 2, 3]), readonly([0, 0, 0])))
+        with_effects(PLAIN, calibration=Calibration.of(readonly([1, 2, 3]), readonly([0, 0, 0])))
     with pytest.raises(
         InputError, match=r"calibration: found 3 length errors and 2 joint offsets, allowed: one of each"
     ):
         Calibration.of([1, 2, 3], [0, 0])
     with pytest.raises(InputError, match=r"unknown parameter 'base_offset.x0'"):
-        with_found(PLAIN, calibration=Calibration.of(readonly([1, 2]), readonly([0, 0]), {"base_offset.x0": 1.0}))
+        with_effects(PLAIN, calibration=Calibration.of(readonly([1, 2]), readonly([0, 0]), {"base_offset.x0": 1.0}))
 
 
 def test_effects_are_appended_and_comments_stay(tmp_path: Path) -> None:
     specs = [EffectSpec("base_offset"), EffectSpec("backlash", 3), EffectSpec("transmission_ripple", 1, {"k": 6})]
-    written = with_found(FULL, specs)
+    written = with_effects(FULL, specs)
     added = (
         '\n[[effects]]\nname = "backlash"\njoint = 3\n\n[[effects]]\nname = "transmission_ripple"\njoint = 1\nk = 6\n'
     )
     assert written == FULL.replace("b_deg = -0.01\n", "b_deg = -0.01\n" + added)
     assert [spec.key for spec in load(tmp_path, written).effects][2:] == ["backlash:3", "transmission_ripple:1"]
-    assert with_found(written, specs) == written
+    assert with_effects(written, specs) == written
 
 
 @pytest.mark.parametrize("text", [PLAIN, "effects = []\n" + PLAIN, "effects = [{name = 'axes_skew'}]\n" + PLAIN])
 def test_effects_in_other_layouts(tmp_path: Path, text: str) -> None:
     spec = EffectSpec("backlash", 2, {"b": 1e-5})
-    same(spec, load(tmp_path, with_found(text, [spec])).effects[-1])
+    same(spec, load(tmp_path, with_effects(text, [spec])).effects[-1])
 
 
 numbers = st.floats(-1e3, 1e3, allow_subnormal=False)
@@ -305,7 +305,7 @@ def found_of_arms(draw: st.DrawFn) -> tuple[list[float], list[EffectSpec], Calib
 @settings(max_examples=20)
 def test_what_is_found_goes_round(found: tuple[list[float], list[EffectSpec], Calibration]) -> None:
     lengths, effects, calibration = found
-    again = arm_from_tables(tomllib.loads(with_found(f"links_mm = {lengths}\n", effects, calibration)))
+    again = arm_from_tables(tomllib.loads(with_effects(f"links_mm = {lengths}\n", effects, calibration)))
     same(tuple(effects), again.effects)
     same(calibration, again.calibration)
 
@@ -313,7 +313,7 @@ def test_what_is_found_goes_round(found: tuple[list[float], list[EffectSpec], Ca
 def test_a_calibration_in_space_goes_round(tmp_path: Path) -> None:
     """With base, measured points and covariance."""
     arm = load(tmp_path, BY_TABLE + PLACED)
-    again = load(tmp_path, with_found(BY_TABLE, calibration=arm.calibration))
+    again = load(tmp_path, with_effects(BY_TABLE, calibration=arm.calibration))
     same(arm.calibration, again.calibration)
     same(arm.chain.base, again.chain.base)
     same(arm.chain.tools, again.chain.tools)
@@ -324,6 +324,6 @@ def test_of_a_plane_those_turns_go_round_that_were_fitted(tmp_path: Path) -> Non
     text, names = f'{HEAD}[instrument]\nkind = "plane"\n', ("base.z", "base.ry", "base.rz")
     after = pose((0.0, 0.0, -400.0), Rotation.from_euler("y", -43.0, degrees=True).as_matrix())
     found = Calibration({"base.z": 2.0, "base.ry": np.radians(3.0), "base.rz": 0.0}, names, np.eye(3), base=after)
-    again = load(tmp_path, with_found(text, calibration=found))
+    again = load(tmp_path, with_effects(text, calibration=found))
     same(found, again.calibration)
     assert set(names) <= set(Model(again).names)

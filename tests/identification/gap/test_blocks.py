@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from identification import Array, InputError, Measurements, Model, diagnose, load_arm, planar_chain, with_found
+from identification import Array, InputError, Measurements, Model, diagnose, load_arm, planar_chain, with_effects
 from identification.arm import Arm, EffectSpec, Gravity
 from identification.effects import ArmState, Effect, Parameter, Setting, base, build
 from identification.gap.blocks import Block, Library, hypotheses
@@ -158,7 +158,7 @@ def test_a_users_own_effect_is_named() -> None:
 
 def test_settings_in_files(tmp_path: Path) -> None:
     spec = EffectSpec("breathing", None, {"rate": 7.25})
-    text = with_found("links_mm = [300, 200]\n", [spec, EffectSpec("series", 2, {"terms": 3.0})])
+    text = with_effects("links_mm = [300, 200]\n", [spec, EffectSpec("series", 2, {"terms": 3.0})])
     assert "rate = 7.25" in text
     assert "terms = 3\n" in text
     (tmp_path / "arm.toml").write_text(text)

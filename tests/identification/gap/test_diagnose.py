@@ -15,7 +15,7 @@ from doe.studies.blind import cells, simulator
 from identification import Arm, EffectSpec, Gravity, InputError, Measurements, Model, diagnose
 from identification.documents.pictures import kept_rows
 from identification.estimation import estimate as identify
-from identification.files.arm import load_arm, with_found
+from identification.files.arm import load_arm, with_effects
 from identification.gap.fit import Rows, fit, fitted_arm
 from identification.gap.result import Candidate, Diagnosis
 from identification.model.placed import practical
@@ -352,7 +352,7 @@ def test_an_error_of_any_form_is_written_at_its_place_and_predicts_other_rows(na
     assert found.verdict == "unknown"
     assert str(found.where).startswith(place)
     written = found.extended_arm()
-    text = with_found(ARM_FILE, written.effects, written.calibration)
+    text = with_effects(ARM_FILE, written.effects, written.calibration)
     left = [
         other.positions - Model(arm).position(other.postures, None, other.conditions)
         for arm in (fitted_arm(ARM, data), written, load_arm(tomllib.loads(text)))
