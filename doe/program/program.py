@@ -155,6 +155,8 @@ def program(
             text = environment.from_string(template.read_text("utf-8-sig")).render(variables)
         except OSError as error:
             raise InputError(f"{template}: cannot be read ({error.strerror}), allowed: a file that can") from None
+        except UnicodeDecodeError:
+            raise InputError(f"{template}: is not UTF-8, allowed: a text file in UTF-8") from None
         except failures as error:
             line = getattr(error, "lineno", None)
             where = f"{template}: " if line is None else f"{template}: line {line}: "
