@@ -60,7 +60,10 @@ class Products:
         gram, right = self.gram[np.ix_(columns, columns)], self.right[columns]
         return Products(gram, right, self.squares, self.freedom, starts, self.signs[chosen])
 
-    widths = cached_property(lambda self: np.diff(self.starts))  # (B,) columns of each block
+    @cached_property
+    def widths(self) -> Index:
+        """(B,) columns of each block."""
+        return np.diff(self.starts)
 
     def columns_of(self, blocks: Sequence[int]) -> Index:
         """Indices of the columns of these blocks, in their order."""
@@ -134,10 +137,20 @@ class State:
     def __post_init__(self) -> None:
         self.__dict__.update(self.computed)
 
-    key = cached_property(lambda self: tuple(sorted(self.pairs)))  # its blocks, ascending, with the numbers of sizes
-    blocks = cached_property(lambda self: tuple(block for block, _ in self.key))  # their numbers, ascending
-    # (k,) of its columns among all
-    columns = cached_property(lambda self: self.products.columns_of([block for block, _ in self.pairs]))
+    @cached_property
+    def key(self) -> Key:
+        """Its blocks, ascending, with the numbers of their sizes."""
+        return tuple(sorted(self.pairs))
+
+    @cached_property
+    def blocks(self) -> tuple[int, ...]:
+        """Numbers of the blocks, ascending."""
+        return tuple(block for block, _ in self.key)
+
+    @cached_property
+    def columns(self) -> Index:
+        """(k,) of its columns among all."""
+        return self.products.columns_of([block for block, _ in self.pairs])
 
     @cached_property
     def sizes(self) -> Array:
@@ -196,7 +209,10 @@ class State:
         within = tuple(part + one[:, i].transpose(1, 2, 0) @ other[:, i].transpose(1, 0, 2) for i, part in pairs)
         return left[0] - mean @ one, within
 
-    variance = property(lambda self: self.squares / max(self.products.freedom, 1))  # of the noise
+    @property
+    def variance(self) -> float:
+        """Of the noise."""
+        return self.squares / max(self.products.freedom, 1)
 
     @property
     def ratio(self) -> float:
