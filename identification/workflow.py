@@ -96,7 +96,7 @@ def arm_files(path: Path, effects: Sequence[EffectSpec], calibration: Calibratio
     from identification.files.arm import with_effects
 
     folder, urdf = Path(path).parent, read_toml(path).get("urdf")
-    text = with_effects(read_text(path), effects, calibration, folder)
+    text = with_effects(read_text(path), effects, folder, calibration)
     files: Files = {out: (name, text)}
     if urdf is not None:
         copy, content = Path(out).parent / urdf, (folder / urdf).read_bytes()

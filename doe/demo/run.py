@@ -147,7 +147,7 @@ def run_demo(
     progress(4, 8, "diagnosis")
     diagnosed = diagnose(path, (rows,), holdout=directory / "fresh.csv", seed=seed)
     progress(5, 8, "identification again")
-    write("extended.toml", with_effects(path.read_text(), diagnosed.result.named.specs, folder=directory))
+    write("extended.toml", with_effects(path.read_text(), diagnosed.result.named.specs, directory))
     named = Written(directory / "extended.toml")
     extended = identify(named, rows, out=named, force=True)
     progress(6, 8, "commands")

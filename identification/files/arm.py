@@ -352,15 +352,15 @@ def corrected_urdf(path: PathLike, geometry: CorrectedGeometry | None) -> str:
 
 # -- writing -----------------------------------------------------------------------------------------------------------
 def with_effects(
-    text: str, specs: Iterable[EffectSpec] = (), calibration: Calibration | None = None, folder: PathLike = "."
+    text: str, specs: Iterable[EffectSpec] = (), folder: PathLike = ".", calibration: Calibration | None = None
 ) -> str:
     """`text` of an arm file with what was found written into it; comments and order of the rest stay.
 
     specs : `[[effects]]` entries are added for those that it does not have yet; their values (API units) are written in
         file units, and so become known
+    folder : where the files are that the text names
     calibration : in the place of its `[calibration]`, None: that stays as it is. Effects with estimated values are
         those of the text and of `specs`
-    folder : where the files are that the text names
 
     Raises `InputError` for effects that the arm cannot have, and for a calibration of another number of links, or of
     effects that the arm does not have.

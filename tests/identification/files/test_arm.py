@@ -305,7 +305,7 @@ def found_of_arms(draw: st.DrawFn) -> tuple[list[float], list[EffectSpec], Calib
 @settings(max_examples=20)
 def test_what_is_found_goes_round(found: tuple[list[float], list[EffectSpec], Calibration]) -> None:
     lengths, effects, calibration = found
-    again = arm_from_tables(tomllib.loads(with_effects(f"links_mm = {lengths}\n", effects, calibration)))
+    again = arm_from_tables(tomllib.loads(with_effects(f"links_mm = {lengths}\n", effects, calibration=calibration)))
     same(tuple(effects), again.effects)
     same(calibration, again.calibration)
 

@@ -352,7 +352,7 @@ def test_an_error_of_any_form_is_written_at_its_place_and_predicts_other_rows(na
     assert found.verdict == "unknown"
     assert str(found.where).startswith(place)
     written = found.extended_arm()
-    text = with_effects(ARM_FILE, written.effects, written.calibration)
+    text = with_effects(ARM_FILE, written.effects, calibration=written.calibration)
     left = [
         other.positions - Model(arm).position(other.postures, None, other.conditions)
         for arm in (fitted_arm(ARM, data), written, load_arm(tomllib.loads(text)))
