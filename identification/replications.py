@@ -115,7 +115,8 @@ class StudyFile(StrictTable):
         plans = dict[str, Plan | None].fromkeys(file.plans)
         for name in (name for name in plans if name.endswith(".csv")):
             if any(arm.counting != arms[0].counting for arm in arms):
-                raise InputError("plans: found files for arms with different [joints], allowed: the same in all arms")
+                state = "found files for arms of different joints"
+                raise InputError(f"plans: {state}, allowed: as many, and the same [joints], in all arms")
             plans[name] = Plan.load(beside(name, "plans"), arms[0].joint_types)
         return arms, plans, {key: value for key, value in content.items() if key not in ("arms", "plans")}
 

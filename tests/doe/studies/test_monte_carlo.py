@@ -275,6 +275,7 @@ def test_file_is_read(folder: Path) -> None:
                 ('"encoder_eccentricity", joint = 2, a_deg = 0.03, b_deg = -0.01', '"link_bending"', "needs gravity"),
                 ('"base"', '"base"\neffects = []\n[[models]]\nname = "base"', "models: name 'base' is given twice"),
                 ('["arm.toml"]', '["arm.toml", "arm.toml"]', "arms: name 'arm.toml' is given twice"),
+                ('["arm.toml"]', '["arm.toml", "elbow.toml"]', "plans: found files for arms of different joints"),
                 ("arm.toml", "other.toml", "no such file"),
             )
         ),
