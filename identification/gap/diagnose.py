@@ -144,7 +144,7 @@ def diagnose(
     shape = next(forms, None) or {f"joint:{c.joint}": c.described[0] for c in curves}.get(place or "")
     # properties of the noise that are likelier than not
     of_noise = zip(posterior.noises, posterior.shares.tolist(), strict=True)
-    scatter = [Finding(noise.name, 1.0 - p, noise.size) for noise, p in of_noise if noise.name and p >= 0.5]
+    scatter = [Finding(noise.name, max(1.0 - p, 0.0), noise.size) for noise, p in of_noise if noise.name and p >= 0.5]
     here = fitted.on(rows)
     unexplained = outlying(here.residual.reshape(before.shape), here.jacobian / fitted.model.scales)
     far = kept & together(unexplained, rows.postures, rows.posture_numbers)

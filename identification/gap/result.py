@@ -120,7 +120,7 @@ def probabilities(posterior: Posterior) -> Probabilities:
             places[place] += one.probability
         if one.named is not None:
             titles.setdefault(one.named, " + ".join(b.label for b in one.effects))
-    return Probabilities(totals, places, titles)
+    return Probabilities({names: min(p, 1.0) for names, p in totals.items()}, places, titles)
 
 
 # -- estimates of named effects ----------------------------------------------------------------------------------------
