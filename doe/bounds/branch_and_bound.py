@@ -189,9 +189,8 @@ def maximum(
 
 # -- is a sensitivity such a polynomial? -------------------------------------------------------------------------------
 Frequency = tuple[int, ...]
-Sum = dict[
-    int | Frequency, complex
-]  # joint j -> coefficient of q_j itself; whole frequencies f -> that of exp(i f . q)
+# joint j -> coefficient of q_j itself; whole frequencies f -> that of exp(i f . q)
+Sum = dict[int | Frequency, complex]
 Jacobian = tuple[NDArray[np.int64], NDArray[np.complex128]]  # (R, n) f and (R, d, p) C of sum_f C_f exp(i f . q)
 
 
