@@ -15,6 +15,7 @@ stay outside.
 from __future__ import annotations
 
 import warnings
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property, partial
@@ -85,6 +86,31 @@ class ArmModel(Model):
             return frames[..., 1:-1, :, :]
 
         return at
+
+    def measured_already(self, plan: Plan) -> tuple[Array, Array]:
+        """Postures (k, n) of the runs that a plan carried out, or measurements, stand for, and (k, d) [mm^2] by how
+        much the variance of each coordinate exceeds that of the arm, infinite where none was read: of measurements at
+        each posture as many runs as a point was read there. Raises `InputError` for points that the arm lacks."""
+        points, column = [*self.arm.chain.tools], self.arm.chain.point_column
+        names, sigma, columns = plan.cells.get(column), plan.conditions["sigma"], {*plan.cells}
+        excess = np.zeros(len(plan)) if self.sigma is None or sigma is None else sigma**2 - self.sigma**2
+        unread = np.zeros(self.arm.chain.coordinates)  # of a point
+        if columns & {"x_mm", "x_m"} and not columns & {"rx_deg", "rx_rad", "qw"}:
+            unread[self.arm.dimension :] = np.inf
+        if not names:
+            return plan.postures, np.tile(excess[:, None] + unread, len(points))
+        if len(points) == 1:  # whatever the file calls it
+            points = [max(set(names), key=names.count)]
+        postures, places = np.unique(plan.postures.round(9), axis=0, return_inverse=True)
+        runs, read = dict[tuple[int, int], Array](), Counter[tuple[int, str]]()
+        for place, name, more in zip(places.reshape(-1).tolist(), names, excess, strict=True):
+            if name in points:
+                run = runs.setdefault((place, read[place, name]), np.full((len(points), len(unread)), np.inf))
+                run[points.index(name)] = more + unread
+                read[place, name] += 1
+            elif len(points) > 1:
+                raise InputError.unknown(f"{column}: unknown name", name, points)
+        return postures[[place for place, _ in runs]], np.reshape([*runs.values()], (len(runs), -1))
 
     def with_tip_moved(self, offset: Array) -> ArmModel:
         """The same with its measured points moved by (3,) [mm] in their frame: to see where a reflector looks."""

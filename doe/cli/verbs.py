@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import re
 import warnings
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -76,7 +75,11 @@ def design_problem(
             raise InputError(f"{option}: criterion {name} does not use it, allowed: with criterion {needed}")
     model, restrictions = design_model(arm), dict[str, Any]()
     if keep is not None:
-        restrictions["kept"], restrictions["kept_excess"] = measured_already(keep, arm)
+        measured = Plan.load(keep, arm.joint_types, carried_out=True)
+        try:
+            restrictions["kept"], restrictions["kept_excess"] = model.measured_already(measured)
+        except InputError as error:
+            raise InputError(f"{keep}: {error}") from None
     if candidates is not None:
         choices = restrictions["choices"] = Plan.load(candidates, arm.joint_types).postures
         tell_of_candidates(candidates, doe.DesignProblem.of(model, choices=choices), choices)
@@ -105,35 +108,6 @@ def design_problem(
         )
         problem = replace(problem, criterion=chosen)
     return problem
-
-
-def measured_already(path: Path, arm: Arm) -> tuple[Any, Any]:
-    """`kept` and `kept_excess` of a problem: of measurements at each posture as many runs as a point was read there,
-    each with what was read; of a plan carried out everything. Raises `InputError` for points that the arm lacks."""
-    import numpy as np
-
-    from identification import Plan
-
-    measured, points = Plan.load(path, arm.joint_types, carried_out=True), [*arm.chain.tools]
-    names, sigma, columns = measured.cells.get(arm.chain.point_column), measured.conditions["sigma"], {*measured.cells}
-    excess = np.zeros(len(measured)) if arm.sigma is None or sigma is None else sigma**2 - arm.sigma**2
-    unread = np.zeros(arm.chain.coordinates)  # [mm^2] of the coordinates of a point
-    if columns & {"x_mm", "x_m"} and not columns & {"rx_deg", "rx_rad", "qw"}:
-        unread[arm.dimension :] = np.inf
-    if not names:
-        return measured.postures, np.tile(excess[:, None] + unread, len(points))
-    if len(points) == 1:  # whatever the file calls it
-        points = [max(set(names), key=names.count)]
-    postures, places = np.unique(measured.postures.round(9), axis=0, return_inverse=True)
-    runs, read = dict[tuple[int, int], Any](), Counter[tuple[int, str]]()
-    for place, name, more in zip(places.reshape(-1).tolist(), names, excess, strict=True):
-        if name in points:
-            run = runs.setdefault((place, read[place, name]), np.full((len(points), len(unread)), np.inf))
-            run[points.index(name)] = more + unread
-            read[place, name] += 1
-        elif len(points) > 1:
-            raise InputError.unknown(f"{path}: {arm.chain.point_column}: unknown name", name, points)
-    return postures[[place for place, _ in runs]], np.reshape([*runs.values()], (len(runs), -1))
 
 
 def tell_of_candidates(path: Path, problem: DesignProblem, postures: Any) -> None:

@@ -13,9 +13,9 @@ import polars as pl
 import pytest
 
 from doe import DesignProblem
-from doe.cli.verbs import measured_already, with_collisions
+from doe.cli.verbs import with_collisions
 from doe.problem.clearance import COLLISIONS
-from identification import Model, estimate, load_arm, load_measurements, rms_distance
+from identification import Model, Plan, design_model, estimate, load_arm, load_measurements, rms_distance
 from identification.document import Answer
 from identification.files.urdf import read_urdf
 from identification.kinematics.chain import corrected
@@ -144,10 +144,13 @@ def test_a_kept_run_counts_once_with_the_reflectors_that_were_read(spatial: Fold
     spatial.refused(f"{drawn} other.csv", "bottom")
     spatial.write("pose.toml", spatial.read("truth.toml").replace("= 0.02", "= 0.02\nsigma_deg = 0.01"))
     of_poses = load_arm(spatial.path / "pose.toml")  # of which plans read two frames, and these rows the points of some
-    excess = measured_already(spatial.path / "some.csv", of_poses)[1]
+    some, whole = (
+        Plan.load(spatial.path / f"{name}.csv", of_poses.joint_types, carried_out=True) for name in ("some", "plan")
+    )
+    excess = design_model(of_poses).measured_already(some)[1]
     read = np.stack([np.ones(40), np.arange(40) % 2], axis=1)[:, :, None] * [1.0, 1.0, 1.0, 0.0, 0.0, 0.0]
     assert sorted(np.isfinite(excess).tolist()) == sorted((read.reshape(40, 12) > 0.0).tolist())
-    assert np.all(measured_already(spatial.path / "plan.csv", of_poses)[1] == 0.0)
+    assert np.all(design_model(of_poses).measured_already(whole)[1] == 0.0)
 
 
 def test_effects_are_left_out_of_the_urdf_file_and_said(spatial: Folder) -> None:
