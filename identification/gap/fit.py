@@ -19,7 +19,7 @@ from identification.arrays import Array
 from identification.effects import Effect
 from identification.estimation.doubts import FAR
 from identification.estimation.problem import Problem, starts
-from identification.information import column_space, spectrum
+from identification.information import spectrum
 from identification.levenberg_marquardt import Index
 from identification.measurements import Conditions, Measurements, rms_distance
 from identification.model import Model
@@ -183,7 +183,7 @@ class Fitted:
     @cached_property
     def rank(self) -> int:
         """Number of parameter combinations that the data determine."""
-        return int(column_space(self.jacobian, self.model.scales)[0].shape[1])
+        return spectrum(self.jacobian, self.model.scales).rank
 
     @cached_property
     def freedom(self) -> int:

@@ -23,7 +23,7 @@ from identification.information import VISIBLE, significant
 # of a block's contribution, in standard deviations of the noise. Prior: from what can just not be seen by itself to a
 # tenth of the reach, equally spaced in log lambda
 SIZES: Array = 3.0 * np.exp2(np.arange(14))
-LEAST = 1e-14  # of y^T y; numerical: what rounding leaves of a sum of squares
+LEAST = 1e-14  # of y^T y, and of a probability of 1; numerical: what rounding leaves of a sum
 
 Index = NDArray[np.int64]
 Key = tuple[tuple[int, int], ...]  # blocks with the numbers of their sizes, ascending
@@ -116,6 +116,8 @@ def mixed(states: Sequence[State], shares: Array) -> tuple[Array, Array, float]:
     size = len(states[0].products.right)
     mean, second = np.zeros(size), np.zeros((size, size))
     for state, share in zip(states, shares, strict=True):
+        if share < LEAST:  # of which nothing is left in a sum
+            continue
         mean[state.columns] += share * state.mean
         moment = state.variance * state.covariance + np.outer(state.mean, state.mean)
         second[np.ix_(state.columns, state.columns)] += share * moment

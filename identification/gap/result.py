@@ -170,7 +170,7 @@ class Candidate:
         at = rows.conditions
         repeats = repeats_of(rows.posture_numbers, at.marker, at.session, at.payload)
         parts = spectrum(jacobian, model.scales)
-        table = WhiteRows(*tall, parts, fitted.rank, rows.sequence, rows.posture_numbers, repeats)
+        table = WhiteRows(*tall, parts, parts.rank, rows.sequence, rows.posture_numbers, repeats)
         sure = uncertainty(table, sigma_given=sigma is not None, doubtful=doubtful)
         effects = model.effects[len(model.effects) - added :]  # the arm's own come first
         names = {p.name for effect in effects for p in effect.parameters}
