@@ -243,8 +243,9 @@ def placed(
     else:
         chain = replace(one_unnamed(chain, named), settled=chain.drawn)
         model = placed_model(Model(replace(with_open_base(arm), chain=chain)), named)
-        places = (p.name for p in model.all_parameters if p.kind in (BASE, TOOL) or p.name.startswith(f"{SESSIONS}."))
-        free = {*places, *chain.standing}
+        measured = [name for k, name in enumerate(model.arm.chain.tools) if k in named.numbers("marker")]
+        moved = (f"{SESSIONS}.", *(f"{TOOL}[{name}]." for name in measured))
+        free = {p.name for p in model.all_parameters if p.kind == BASE or p.name.startswith(moved)} | {*chain.standing}
         if refit == "offsets":
             free |= {f"{JOINT_OFFSET}:{j}" for j in range(2, arm.links + (TOOL in chain.settled))}
     model = replace(model, held={name: value for name, value in model.best_known.items() if name not in free})

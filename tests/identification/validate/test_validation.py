@@ -426,6 +426,9 @@ def test_validation_finds_points_that_the_calibration_does_not_have() -> None:
         with pytest.raises(InputError, match=r"measurements.*marker.*; or --refit base"):
             validate(arm, rows, "none")
     assert not any("reflector" in note for note in validate(arm, second).notes)
+    of_one = validate(arm, only_a)  # of the other, which these rows have not, nothing is refitted
+    assert {row["name"].partition(".")[0] for row in of_one.refitted} == {"base", "tool[A]"}
+    assert not any("what is refitted" in note or "leave open" in note for note in of_one.notes)
     read = read_differently(arm, replace(unnamed, positions=10.0 * unnamed.positions), search=False)
     assert read.certain  # a file is looked at before it is validated
     assert "times those of the arm file" in read.sentences[0]
