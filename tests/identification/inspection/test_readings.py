@@ -156,8 +156,9 @@ def test_a_wrist_whose_axes_meet_has_two_explanations() -> None:
     """Half a turn about axis 4 reverses axis 5, and comes out behind it as half a turn that the reflector takes."""
     a, alpha, d = (0, -400, 0, 0, 0, 0), (1, 0, 1, -1, 1, 0), (400, 0, 0, 500, 0, 90)
     rows = list(zip(map(float, a), (0.5 * np.pi * np.array(alpha)).tolist(), map(float, d), strict=True))
-    q = np.random.default_rng(0).uniform(-2.0, 2.0, (40, 6))
-    data = Measurements(q * [1, 1, 1, 1, -1, 1], points(q, np.array([60.0, 20.0, 40.0]), rows))
+    generator = np.random.default_rng(0)
+    q, noise = generator.uniform(-2.0, 2.0, (40, 6)), generator.normal(0.0, 0.01, (40, 3))  # more than rounding
+    data = Measurements(q * [1, 1, 1, 1, -1, 1], points(q, np.array([60.0, 20.0, 40.0]), rows) + noise)
     (said,) = read_differently(Arm(chain_of([DHRow(*row) for row in rows])), data).sentences
     both = "joint 5 turns the other way, or, equally well, joint 4 has another zero than the drawing: add 180 deg to it"
     assert both in said
@@ -208,6 +209,7 @@ def test_what_no_arm_file_says() -> None:
     assert found.toml == "[joints]\nsign = [-1, 1, 1]"
     every = Reading((0, 1, 2), (1, 1, 1), (0, 0, 0), sums=((1, 0, 0), (0, 1, 0), (1, 1, 1)))
     assert every.counting(usual) is None
+    assert replace(REVERSED, mirrored=True).counting(usual) is None  # no counting of joints mirrors the frame
 
 
 TURNED = [DHRow(300.0, np.pi, 0.0), DHRow(200.0, np.pi / 2.0, 0.0), DHRow(100.0, 0.0, 0.0), DHRow(100.0, 0.0, 0.0)]
