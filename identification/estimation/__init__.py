@@ -200,7 +200,7 @@ def _identification(problem: Problem, data: Measurements, solution: Solution, ro
         provenance=MappingProxyType(data.origin | joint_range(data.postures, model.joint_types)),
         uncertainty=made,
         scatter=scatter,
-        doubts=(*sentences, *far_rows(after, outlier, structure)),
+        doubts=(*sentences, *far_rows(after, data, getattr(model, "arm", None), outlier, structure)),
         postures=data.postures[first],
         inside=rows.inside,
         outlier_rows=tuple((np.flatnonzero(outlier) + 1).tolist()),

@@ -101,9 +101,16 @@ def far_from_drawing(arm: Arm, width: float, of_zeros: float) -> list[str]:
     return sentences + [f"zeros of joints are farther from the drawing {zeros}, {why}"] * (of_zeros != 1.0)
 
 
-def far_rows(residual: Array, outlier: NDArray[np.bool_], together: NDArray[np.bool_]) -> list[str]:
+def far_rows(
+    residual: Array, data: Measurements, arm: Arm | None, outlier: NDArray[np.bool_], together: NDArray[np.bool_]
+) -> list[str]:
     """Which rows nothing explains: by themselves, and those that come together (`uncertainty.together`)."""
-    off = distances(residual[:, POINT])
+    scale, sizes = arm.chain.angle_scale if arm else None, {"mm": distances(residual)}
+    sizes |= {"deg": np.degrees(distances(residual[:, POINT.stop :]) / scale)} if scale else {}
+    # of all coordinates, and beside what each row is known to scatter by
+    times = np.linalg.norm(residual, axis=1) / (1.0 if data.sigma is None else data.sigma)
+    times /= max(float(np.median(times[~(outlier | together)])), np.finfo(float).tiny)
+    by = "" if data.sigma is None else ", by the sigma_mm of each row,"
     causes = (
         "a lost beam, an arm that was still moving, or what the model lacks there. armcal diagnose tells these apart; "
         "identify --without-outliers leaves such rows out",
@@ -111,8 +118,8 @@ def far_rows(residual: Array, outlier: NDArray[np.bool_], together: NDArray[np.b
         "where the arm stood elsewhere. They stay in the fit; delete them only if you know why they are wrong",
     )
     return [
-        f"{rows_in_words(rows)}: up to {off[rows].max():.4g} mm off, the others "
-        f"{np.median(off[~(outlier | together)]):.3g} mm in the median: {cause}"
+        f"{rows_in_words(rows)}: up to {' and '.join(f'{x[rows].max():.4g} {unit}' for unit, x in sizes.items())} off, "
+        f"{times[rows].max():.3g} times as far{by} as the others in the median: {cause}"
         for rows, cause in zip((outlier, together), causes, strict=True)
         if rows.any()
     ]

@@ -169,7 +169,7 @@ def _problems(
     rows = np.arange(len(measurements)) + 1
     if fit is not None and not sentences:
         unexplained = (np.isin(rows, numbers) for numbers in (fit.outlier_rows, fit.unexplained_rows))
-        sentences = doubts.far_rows(fit.residuals_after, *unexplained)
+        sentences = doubts.far_rows(fit.residuals_after, measurements, arm, *unexplained)
     if not sentences and drawing > DRAWN * arm.reach:
         sentences = [f"the drawing is {drawing:.4g} mm off wherever the arm stands: check lengths and columns"]
     if fit is None:

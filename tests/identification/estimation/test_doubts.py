@@ -12,7 +12,8 @@ import pytest
 
 from identification import Arm, DHRow, EffectSpec, Measurements, Model, Status, chain_of, estimate
 from identification.arm import Machining
-from identification.estimation.doubts import FAR, another_frame, outside_limits
+from identification.estimation.doubts import FAR, another_frame, far_rows, outside_limits
+from identification.instruments import Tracker
 from tests.identification.estimation.cases import LENGTHS, SIGMA, TRUTH, arm, data, plan, scipy_fit
 from tests.identification.inspection.test_inspection import points
 
@@ -66,6 +67,22 @@ def test_what_a_known_effect_does_is_no_other_frame() -> None:
     assert another_frame(Model(arm()), shifted) != []
     assert another_frame(Model(moves), shifted) == []
     assert another_frame(Model(moves), moved(shifted, (3.0, 0.0))) != []
+
+
+def test_far_rows_are_told_by_all_that_is_measured_and_by_what_each_row_scatters_by() -> None:
+    """By hand: the third of five poses is 0.1 mm off as all are, and 4 mrad, 4 mm at 1 m; its own sigma is half."""
+    posed = Arm(chain_of([DHRow(300.0, 0.0, 0.0), DHRow(200.0, 0.0, 0.0)]))
+    posed = replace(posed, chain=replace(posed.chain, instrument=Tracker(1000.0)))
+    residual = np.zeros((5, 6))
+    residual[:, 0], residual[2, 5] = 0.1, 4.0
+    rows = Measurements(np.arange(10.0).reshape(5, 2), residual[:, :3], orientations=np.tile(np.eye(3), (5, 1, 1)))
+    single, none = np.arange(5) == 2, np.zeros(5, dtype=bool)
+    for each, ending in (
+        (rows, "40 times as far as the others in the median: a lost beam"),
+        (replace(rows, sigma=np.where(single, 0.05, 0.1)), "80 times as far, by the sigma_mm of each row, as the "),
+    ):
+        (said,) = far_rows(residual, each, posed, single, none)
+        assert said.startswith(f"row 3: up to 0.1 mm and 0.2292 deg off, {ending}")
 
 
 def test_a_link_of_another_length_is_implausible() -> None:
