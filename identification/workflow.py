@@ -186,6 +186,7 @@ def check_files(
     *,
     package_dir: tuple[Path, ...] = (),
     constraints: Callable[[Any], Sequence[Any]] = lambda _: (),
+    said_of_collisions: Callable[..., tuple[dict[str, Any], list[str]]] = lambda *_: ({}, []),
     moves: Callable[..., tuple[list[Any], list[str]]] = lambda *_: ([], []),
     progress: Progress = Progress(),
 ) -> Answer:
@@ -208,7 +209,6 @@ def check_files(
 
     loaded = load_arm(arm, package_dir)
     allowed = constraints(Model(loaded)) if loaded.cell or loaded.constraints else ()
-    bodies = [each for each in allowed if each.kind == "clearance"]
     of_plans = re.compile(r"run|kind|weight|payload_kg|temperature_C|direction\d+|q\d+_(deg|mm)")
     table = read_table(data)  # what touches something has no readings besides
     if all(map(of_plans.fullmatch, table.frame.columns)) and ("run" in table or not loaded.chain.instrument.contact):
@@ -217,22 +217,20 @@ def check_files(
         beyond = [np.minimum(q - loaded.lower, loaded.upper - q) + 1e-6]
         beyond += [each.margin(q) + 1e-3 for each in allowed if each.kind != "clearance"]
         outside = (np.flatnonzero(np.any(np.concatenate(beyond, axis=1) < 0.0, axis=1)) + 1).tolist()
-        near = [each for clearance in bodies for each in clearance.too_near(q)]
+        near, lines = said_of_collisions(allowed, loaded.dimension, q)
         summary = f"{data}: a plan of {len(q)} runs, {len(outside)} of them outside joint limits or constraints"
         summary += f": {', '.join(map(str, outside))}" if outside else ""
         not_free, doubts = moves(allowed, driven.postures) if plan.weights is None else ([], [])
-        lines = [summary, *(line for clearance in bodies for line in clearance.in_words(q)), *doubts]
-        answers = {"ok": not (outside or near or not_free), "outside_limits": outside, "collisions": near}
-        answers["moves"] = {"not_free": not_free}
-        return Answer(answers, Document(parts=lines))
+        answers = {"ok": not (outside or near.get("collisions") or not_free), "outside_limits": outside}
+        answers |= {"collisions": []} | near | {"moves": {"not_free": not_free}}
+        return Answer(answers, Document(parts=[summary, *lines, *doubts]))
     measurements = load_measurements(data, loaded)
     progress(0, None, f"trying readings of {len(measurements)} rows, and a fit of the geometry")
     inspection = inspect(loaded, measurements)
-    lines = list[str]()
-    for clearance in bodies:
-        inspection.data["collisions"] = clearance.too_near(measurements.postures)
-        wrong = inspection.data["better_reading"] and "Collisions: not looked at, since rows seem to be read wrongly."
-        lines += [wrong] if wrong else clearance.in_words(measurements.postures)
+    near, lines = said_of_collisions(allowed, loaded.dimension, measurements.postures)
+    inspection.data.update(near)
+    if "collisions" in near and inspection.data["better_reading"]:
+        lines = ["Collisions: not looked at, since rows seem to be read wrongly."]
     return Answer(inspection.to_json(), inspection.document(str(arm), str(data)).plus(*lines), inspection)
 
 
@@ -523,6 +521,7 @@ def compensate_files(
     force: bool = False,
     package_dir: tuple[Path, ...] = (),
     constraints: Callable[[Any], Sequence[Any]] = lambda _: (),
+    said_of_collisions: Callable[..., tuple[dict[str, Any], list[str]]] = lambda *_: ({}, []),
 ) -> Answer:
     """Joint commands that reach targets on the real arm.
 
@@ -545,7 +544,9 @@ def compensate_files(
     allowed = constraints(Model(arm)) if arm.constraints or arm.cell else ()
     commands = compensate(arm, **load_targets(targets, arm), constraints=allowed)
     files: Files = {out: ("commands", commands.text())}
-    return Answer(commands.to_json(), commands.document(), commands, warnings=commands.warnings, files=files)
+    known, lines = said_of_collisions(allowed, arm.dimension)
+    document = commands.document().plus(*lines)
+    return Answer(commands.to_json() | known, document, commands, warnings=commands.warnings, files=files)
 
 
 # -- the library -------------------------------------------------------------------------------------------------------

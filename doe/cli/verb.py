@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from identification.document import Document
 
 # parameters that are no options: a verb that names one is given it, as a test is given a fixture by pytest
-PROVIDED = ("seed", "progress", "page", "constraints", "moves")
+PROVIDED = ("seed", "progress", "page", "constraints", "said_of_collisions", "moves")
 UPDATES = frozenset((verb, "--out", "ARM") for verb in ("identify", "diagnose"))  # --force may overwrite the arm file
 EVERYWHERE = {  # options that mean the same wherever they are
     "force": "Overwrite existing files.",
@@ -154,6 +154,11 @@ def command(function: Callable[..., Answer], example: str) -> click.Command:
 
         return constraints_of(model)
 
+    def said_of_collisions(*known: Any) -> Any:
+        from doe.problem import clearance
+
+        return clearance.said_of_collisions(*known)
+
     def moves(kept: Any, postures: Any) -> Any:
         from doe.plan.moves import in_sentences, unproven
 
@@ -164,7 +169,8 @@ def command(function: Callable[..., Answer], example: str) -> click.Command:
             values[group] = type_(**{one.name: values.pop(one.name) for one in fields(type_)})
         logging.getLogger("matplotlib").setLevel(logging.ERROR)  # where it keeps its fonts is no news
         with warnings_as_lines(quiet), shown_progress(name, quiet) as progress:
-            provided = {"seed": seed, "progress": progress, "page": page, "constraints": constraints, "moves": moves}
+            provided = {"seed": seed, "progress": progress, "page": page}
+            provided |= {"constraints": constraints, "said_of_collisions": said_of_collisions, "moves": moves}
             values |= {key: provided[key] for key in inspect.signature(function).parameters if key in provided}
             with errors_as_lines(), interruptible(", nothing was written"), stoppable():
                 check_outputs(click.get_current_context())

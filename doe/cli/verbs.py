@@ -126,16 +126,10 @@ def tell_of_candidates(path: Path, problem: DesignProblem, postures: Any) -> Non
 
 def with_collisions(answer: Answer, problem: DesignProblem, postures: Any = None) -> Answer:
     """The answer with what is known of collisions at postures (m, n), None: it has no plan."""
-    from doe.problem.clearance import bodies_looked_at
+    from doe.problem.clearance import said_of_collisions
 
-    looked, words = bodies_looked_at(problem)
-    if looked or words:
-        answer.data["collisions_checked"] = any(not each.unseen for each in looked)
-        answer.document = answer.document.plus(*words)
-    for clearance in looked if postures is not None else []:
-        answer.data["collisions"] = clearance.too_near(postures)
-        answer.document = answer.document.plus(*clearance.in_words(postures))
-    return answer
+    data, lines = said_of_collisions(problem.constraints, getattr(problem.model, "space", 0), postures)
+    return replace(answer, data=answer.data | data, document=answer.document.plus(*lines))
 
 
 # -- plans -------------------------------------------------------------------------------------------------------------
@@ -489,6 +483,7 @@ def program_files(
     template : Jinja2 template of your own; its variables: doe/README.md, "Programs".
     out : Write the program, which takes the name of the file.
     """
+    from doe import DesignProblem
     from doe.plan.moves import in_sentences
     from doe.program.program import program
     from identification import Plan, load_arm
@@ -512,7 +507,9 @@ def program_files(
     rows = [[m["kind"], *(f"{q:.3f}" for q in m["joints"]), f"{m['seconds']:.0f}"] for m in made.moves]
     doubts = in_sentences(made.not_free)
     document = Document(parts=[sentence, Sheet(headings, rows, most=60, where="the program lists all"), *doubts])
-    return Answer(data, document, warnings=[line.strip() for line in doubts], files={out: ("program", made.text)})
+    warned = [line.strip() for line in doubts]
+    answer = Answer(data, document, warnings=warned, files={out: ("program", made.text)})
+    return with_collisions(answer, DesignProblem.of(loaded), file.measured.postures)
 
 
 # -- after measurements ------------------------------------------------------------------------------------------------

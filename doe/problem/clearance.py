@@ -40,11 +40,19 @@ COLLISIONS = (
 )
 
 
-def bodies_looked_at(problem: Any) -> tuple[list[Clearance], list[str]]:
-    """The conditions of a `DesignProblem` that bodies keep their distance, and what to say of an arm in space that has
-    none; nothing is said of arms in a plane whose bodies nobody has described."""
-    looked = [each for each in problem.constraints if isinstance(each, Clearance)]
-    return looked, [COLLISIONS] if not looked and getattr(problem.model, "space", 0) == 3 else []
+def said_of_collisions(
+    constraints: Sequence[Any], dimension: int, postures: Array | None = None
+) -> tuple[dict[str, Any], list[str]]:
+    """Keys `collisions_checked` and `collisions` of postures (m, n), None: there are none, and what to say of them;
+    nothing of arms in a plane whose bodies nobody has described."""
+    looked = [each for each in constraints if isinstance(each, Clearance)]
+    data: dict[str, Any] = {"collisions_checked": any(not (each.unseen or each.bare) for each in looked)}
+    if not looked:
+        return (data, [COLLISIONS]) if dimension == 3 else ({}, [])
+    if postures is None:
+        return data, [line for each in looked for line in each.not_looked_at()]
+    near = [pair for each in looked for pair in each.too_near(postures)]
+    return data | {"collisions": near}, [line for each in looked for line in each.in_words(postures)]
 
 
 class Clearance:
@@ -94,7 +102,10 @@ class Clearance:
         largest = np.quantile(apart, 0.98, axis=0)  # seldom postures aside
         kept = largest > 0.0
         self.touching, self.pairs = (tuple(pairs[k] for k in np.flatnonzero(each)) for each in (~kept, kept))
-        self.unseen = [", ".join(each) for each in [getattr(cell.bodies, "unseen", ())] if each]  # without meshes
+        lengths = np.linalg.norm(np.diff(model.joint_frames(drawn[:1])[0, :, :3, 3], axis=0), axis=1)
+        bare = [f"joint {j}" for j in (np.flatnonzero(lengths > ROUNDING) + 1).tolist() if j not in joints]
+        # links without meshes, and joints that carry a link that nobody has described
+        self.unseen, self.bare = ([", ".join(e)] if e else [] for e in (getattr(cell.bodies, "unseen", ()), bare))
         self.asked = np.minimum(self.usual, 0.25 * largest)[kept]
         self._pieces = self._pieces[kept[self._pieces[:, 0]]]
         self._pieces[:, 0] = np.unique(self._pieces[:, 0], return_inverse=True)[1]
@@ -138,21 +149,28 @@ class Clearance:
 
     def in_words(self, postures: Array) -> list[str]:
         """What is to be said of postures (m, n): every pair that is too near, and what is asked of which pairs."""
-        near, lines, most = self.too_near(postures), list[str](), 6
+        near, lines = self.too_near(postures), list[str]()
         many = len(np.unique(postures, axis=0))  # of data a posture may have many rows
         if near:
             those = len(np.unique(postures[[each["run"] - 1 for each in near]], axis=0))
             lines.append(f"Collisions: {those} of {many} postures bring bodies too near to each other:")
         lines += [f"  run {each['run']}: {distance_in_words(each)}" for each in near]
-        touching, few = [" and ".join(pair) for pair in self.touching], np.flatnonzero(self.asked < self.usual)
-        narrow = [f"{' and '.join(self.pairs[k])} ({self.asked[k]:.3g} mm)" for k in few]
         if not near:
-            stay = f"of bodies stay{'s' * (len(self.pairs) - len(narrow) == 1)} {self.usual:g} mm apart"
-            lines.append(f"Collisions: {_counted(len(self.pairs) - len(narrow))} {stay} in all {many} postures.")
+            usual = int(np.sum(self.asked >= self.usual))
+            stay = f"of bodies stay{'s' * (usual == 1)} {self.usual:g} mm apart"
+            lines.append(f"Collisions: {_counted(usual)} {stay} in all {many} postures.")
+        return lines + self.not_looked_at()
+
+    def not_looked_at(self) -> list[str]:
+        """What is to be said of pairs that less is asked of, or nothing, and of what may collide unseen."""
+        most, few, lines = 6, np.flatnonzero(self.asked < self.usual), list[str]()
+        narrow = [f"{' and '.join(self.pairs[k])} ({self.asked[k]:.3g} mm)" for k in few]
+        touching = [" and ".join(pair) for pair in self.touching]
         for why, pairs in (
             ("Asked to stay apart by less, since they are near wherever the arm goes", narrow),
             ("Not looked at, since they touch wherever the arm goes", touching),
             ("Not looked at, since their meshes are not found", self.unseen),
+            ("Not looked at, since no body is known that moves with", self.bare),
         ):
             rest = f" and {_counted(len(pairs) - most)} more" if len(pairs) > most else ""
             lines += [f"{why}: {', '.join(pairs[:most])}{rest}."] if pairs else []

@@ -162,7 +162,7 @@ def outside_round(model: Offers, region: Any, q: ca.SX) -> ca.SX:
 
 def in_view(model: Offers, sight: Any, q: ca.SX) -> ca.SX:
     """(k,) The tracker sees the reflector: inside its cone and range, not from behind, no link near the line of sight;
-    links have a radius here, and the last, which carries the reflector, is not in the way. Where a model has bodies,
+    links have a radius here, and the last, which carries the reflector, is not in the way. Of joints that carry bodies
     these are looked at instead (`Clearance`)."""
     if len(sight.tracker) != model.space:
         raise InputError(f"line_of_sight: a tracker in {len(sight.tracker)} dimensions, allowed: in {model.space}")
@@ -179,8 +179,10 @@ def in_view(model: Offers, sight: Any, q: ca.SX) -> ca.SX:
         moved = offered(model, "with_tip_moved", "line_of_sight")(offset)
         looks = (moved.symbolic_points(q)[-1] - tip) / pointer
         expressions.append(ca.dot(looks, tracker - tip) - np.cos(sight.acceptance) * distance)
-    if not (offers(model, "cell") and model.cell.bodies):
-        expressions += [_distance(tracker, tip, *link) - LINK_RADIUS * model.reach for link in pairwise(points[:-1])]
+    carry = {body.joint for body in model.cell.bodies} if offers(model, "cell") else set[int]()
+    first = len(model.joint_types) + 2 - len(points)  # joint that the first link moves with, 0 of an arm's foot
+    links = [link for j, link in enumerate(pairwise(points[:-1]), first) if max(j, 1) not in carry]
+    expressions += [_distance(tracker, tip, *link) - LINK_RADIUS * model.reach for link in links]
     return ca.vertcat(*expressions)
 
 

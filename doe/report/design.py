@@ -14,7 +14,7 @@ from doe.bounds.certificate import ApproximateDesign
 from doe.design import BEST_KNOWN, Design
 from doe.plan.moves import unproven
 from doe.plan.spacing import distance_to_keep
-from doe.problem.clearance import Clearance, bodies_looked_at, distance_in_words
+from doe.problem.clearance import Clearance, distance_in_words, said_of_collisions
 from doe.problem.model import offers
 from doe.problem.problem import DesignProblem
 from doe.report.page import PlanSteps
@@ -203,8 +203,7 @@ def plan_section(
     from doe.report.figures import plan_figure  # deferred: tables need no pictures
 
     problem, postures = DesignProblem.of(arm), plan.measured.postures
-    looked, near = bodies_looked_at(problem)
-    near += [line for clearance in looked for line in clearance.in_words(postures)]
+    near = said_of_collisions(problem.constraints, arm.dimension, postures)[1]
     if plan.weights is None and (moves := unproven(problem.constraints, plan.postures)):
         near.append(f"Moves: {len(moves)} of {len(plan) - 1} may collide on the way; armcal score names them.")
     title = f"The plan {name}".rstrip()

@@ -205,6 +205,7 @@ def test_commands_for_the_real_arm(spatial: Folder) -> None:
     """Commands for the calibrated arm bring the true one where the drawing would be, as far as noise lets it."""
     spatial.said(IDENTIFY)
     found = spatial.said("compensate calibrated.toml plan.csv --out commands.csv")
+    assert found["collisions_checked"] is False
     assert found["reached"] >= 38  # at the limits of the joints some are out of reach
     rows = pl.read_csv(spatial.path / "commands.csv")
     assert rows.columns[:11] == [*JOINTS, "x_mm", "y_mm", "z_mm", "error_mm", "reachable"]
@@ -256,6 +257,13 @@ def test_every_plan_in_space_says_that_collisions_were_not_looked_at(spatial: Fo
     weights = "relax arm.toml --candidates plan.csv --runs 20 --no-check"
     assert spatial.said(weights)["collisions_checked"] is False
     assert spatial.armcal(weights).flat.count(COLLISIONS) == 1
+    for verb in (
+        "check arm.toml plan.csv",
+        "check arm.toml data.csv",
+        "program arm.toml plan.csv --robot ros --out p --force",
+    ):
+        assert spatial.said(verb)["collisions_checked"] is False
+        assert COLLISIONS in spatial.armcal(verb).flat
     with pytest.warns(UserWarning, match="beside the last axis is assumed"):
         problem = DesignProblem.of(Model(load_arm(spatial.path / "arm.toml")))
     assert with_collisions(Answer({}), problem).document.parts == [COLLISIONS]  # what all call

@@ -191,6 +191,8 @@ def test_a_planar_arm_and_spheres() -> None:
     fold = np.array([0.5, 1.0, 2.0, 3.0])
     postures = np.column_stack([np.full(4, 0.7), fold])
     (clearance,) = constraints_of(Model(arm))
+    assert isinstance(clearance, Clearance)
+    assert clearance.not_looked_at() == ["Not looked at, since no body is known that moves with: joint 1."]
     np.testing.assert_allclose(Walls([clearance]).values(postures), clearance.margin(postures))
     np.testing.assert_allclose(clearance.margin(postures)[:, 0], 800.0 * np.cos(fold / 2.0) - 60.0, atol=1e-9)
 

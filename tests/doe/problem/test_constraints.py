@@ -14,7 +14,7 @@ from doe.problem.constraints import LINK_RADIUS, Expression, constraints_of
 from doe.problem.postures import random_postures
 from doe.solvers import Random, solve
 from identification import Arm, Calibration, InputError, Model
-from identification.workspace import KeepOutCircle, LineOfSight, WorkspaceBox
+from identification.workspace import Body, Cell, KeepOutCircle, LineOfSight, WorkspaceBox
 from tests.doe.arms import FOUR
 
 BOX = WorkspaceBox((-400.0, 600.0), (0.0, 650.0))
@@ -66,6 +66,10 @@ def test_line_of_sight() -> None:
         assert (margin[0] >= 0) == (angle <= np.radians(25.0))
         np.testing.assert_allclose(margin[1:] + LINK_RADIUS * 660.0, beside_the_beam(links), atol=5.0)
     assert np.sum(margins[:, 1:] < 0) > 10  # the test does see links in the way
+    # links without bodies are in the way, too, where others, or what is around the arm, have some
+    bodies = [Body(name, joint, np.r_[900.0, 900, 0, 900, 900, 0, 9]) for name, joint in (("post", 0), ("hand", 2))]
+    seen = constraints_of(Model(replace(ARM, cell=Cell(bodies))))[2].margin(POSTURES[:300])
+    np.testing.assert_array_equal(seen, np.delete(margins, 2, axis=1))
 
 
 def test_derivatives() -> None:
