@@ -324,6 +324,10 @@ def identify_files(
     loaded, chosen, keys, lines = load_arm(arm), [word for each in only for word in each], dict[str, Any](), list[str]()
     if urdf is not None:  # before the fit, as it would be written of the drawing
         corrected_urdf(arm, corrected_geometry(loaded.chain, {}))
+        for each in filter(None, (arm, out)):
+            if os.path.realpath(Path(each).parent / str(read_toml(arm).get("urdf"))) == os.path.realpath(urdf):
+                state = f"{urdf} is the drawing that {each} names, which would be corrected twice"
+                raise InputError(f"--urdf: {state}, allowed: another name")
     old = None if prior_from is None else load_arm(prior_from)
     measurements = load_sessions([data], loaded)
     loaded, servo_errors = with_servo_errors(loaded, measurements)

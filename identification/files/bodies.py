@@ -255,7 +255,7 @@ def mesh_file(name: str, folders: Sequence[PathLike]) -> Path | None:
     for root, path in places:
         readable = path.suffix.lower() in READERS
         for file in [path] if readable else map(path.with_suffix, READERS):
-            if Path(os.path.realpath(file)).is_relative_to(os.path.realpath(root)) and file.is_file():
+            if Path(os.path.realpath(file)).is_relative_to(os.path.realpath(root)) and os.path.isfile(file):
                 return file
     return None
 

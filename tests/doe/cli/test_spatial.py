@@ -153,6 +153,15 @@ def test_a_kept_run_counts_once_with_the_reflectors_that_were_read(spatial: Fold
     assert np.all(design_model(of_poses).measured_already(whole)[1] == 0.0)
 
 
+@pytest.mark.parametrize("words", ["--urdf six_axis.urdf --force", "--out new/c.toml --urdf new/six_axis.urdf"])
+def test_the_drawing_of_an_arm_file_is_not_corrected_in_its_place(spatial: Folder, words: str) -> None:
+    """What is in [calibration] would come on top of what the drawing has already."""
+    (spatial.path / "new").mkdir()
+    before = spatial.read("six_axis.urdf")
+    spatial.refused(f"identify arm.toml data.csv {words}", "--urdf", "corrected twice")
+    assert (spatial.read("six_axis.urdf"), [*(spatial.path / "new").iterdir()]) == (before, [])
+
+
 def test_effects_are_left_out_of_the_urdf_file_and_said(spatial: Folder) -> None:
     spatial.write("arm.toml", ARM + '\n[[effects]]\nname = "encoder_eccentricity"\njoint = 3\n')
     done = spatial.armcal("identify arm.toml data.csv --urdf corrected.urdf")

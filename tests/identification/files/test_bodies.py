@@ -123,6 +123,7 @@ OUTSIDE = {
     "file:///ABSOLUTE/other/part.stl": "other/part.stl",
     "part.dae": "work/cell/part.dae",
     "package://robot": "work/cell/robot",
+    f"{'a' * 300}.stl": "other/part.stl",
 }
 
 
