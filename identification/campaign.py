@@ -13,8 +13,7 @@ from identification.errors import InputError
 from identification.estimation.result import corrected_values, dh_lines
 from identification.files.arm import load_arm
 from identification.files.csv import read_table
-from identification.files.measurement import UNITS, Plan, load_measurements
-from identification.instruments import TRACKER
+from identification.files.measurement import Plan, is_plan, load_measurements
 from identification.measurements import MOST, Measurements
 from identification.provenance import diagnosed, provenance_of, share_fitted
 from identification.reuse import same_drawing
@@ -52,15 +51,10 @@ def campaign_document(
             raise InputError(f"{name}: ending {path.suffix!r}, allowed: {ALLOWED}")
         elif first is None:
             raise InputError(f"{name}: a table without its arm, allowed: the arm file (.toml) beside it")
+        elif is_plan(read_table(path), arms[first]):
+            plans[name], kinds[name] = Plan.load(path, arms[first].joint_types, vias=True), "plan"
         else:
-            table, instrument = read_table(path), arms[first].chain.instrument
-            read = (c for kind in (TRACKER, instrument) for c in kind.coordinates[:1])
-            columns = {f"{c.name}_{unit}" for c in read for unit in UNITS[c.quantity]}
-            # of a plan of contacts, too, there is no reading
-            if (instrument.contact and "run" not in table) or not columns.isdisjoint(table.frame.columns):
-                measurements[name], kinds[name] = load_measurements(path, arms[first]), "measurements"
-            else:
-                plans[name], kinds[name] = Plan.load(path, arms[first].joint_types, vias=True), "plan"
+            measurements[name], kinds[name] = load_measurements(path, arms[first]), "measurements"
     drawn = next(iter(arms.values()))
 
     # what each calibrated arm leaves of each set of measurements, those first that no arm says it was fitted to

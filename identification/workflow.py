@@ -9,7 +9,6 @@ when they are called, so that `armcal --help` answers at once.
 from __future__ import annotations
 
 import os
-import re
 import warnings
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -203,15 +202,13 @@ def check_files(
 
     from identification.files.arm import load_arm
     from identification.files.csv import read_table
-    from identification.files.measurement import Plan, load_measurements
+    from identification.files.measurement import Plan, is_plan, load_measurements
     from identification.inspection.inspection import inspect
     from identification.model import Model
 
     loaded = load_arm(arm, package_dir)
     allowed = constraints(Model(loaded)) if loaded.cell or loaded.constraints else ()
-    of_plans = re.compile(r"run|kind|weight|payload_kg|temperature_C|direction\d+|q\d+_(deg|mm)")
-    table = read_table(data)  # what touches something has no readings besides
-    if all(map(of_plans.fullmatch, table.frame.columns)) and ("run" in table or not loaded.chain.instrument.contact):
+    if is_plan(read_table(data), loaded):
         plan, driven = (Plan.load(data, loaded.joint_types, vias=vias) for vias in (False, True))
         q = plan.postures
         beyond = [np.minimum(q - loaded.lower, loaded.upper - q) + 1e-6]

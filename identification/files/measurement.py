@@ -25,6 +25,7 @@ from identification.document import Sheet, html
 from identification.errors import InputError
 from identification.files.csv import MEASURE, VIA, Table, csv_text, read_table
 from identification.files.io import PathLike
+from identification.instruments import TRACKER
 from identification.kinematics.chain import planar_chain
 from identification.kinematics.counting import counting_in
 from identification.kinematics.frames import from_angles, from_quaternions, to_angles
@@ -44,6 +45,7 @@ MOST = {LENGTH: LARGEST, ANGLE: float(np.radians(LARGEST_ANGLE)), PIXEL: LARGEST
 NUMBERS = {"order": "order", "time_s": "order", "temperature_C": "temperature", "payload_kg": "payload"}
 NUMBERS |= {"posture": "repeats"}
 ORIENTATION = re.compile(r"r[xyz]_(deg|rad)|q[wxyz]")
+PLANNED = re.compile(r"kind|weight|payload_kg|temperature_C|direction\d+|q\d+_(deg|rad|mm|m)")  # what plans may have
 
 
 # -- measurements ------------------------------------------------------------------------------------------------------
@@ -258,6 +260,16 @@ def angle_columns(orientations: Array) -> Columns:
 
 
 # -- plans -------------------------------------------------------------------------------------------------------------
+def is_plan(table: Table, arm: Arm) -> bool:
+    """Whether a table is a plan of the arm, not measurements: it has no readings, but runs, or else nothing that plans
+    do not have. Of contacts, which have no readings either, it has runs."""
+    instrument = arm.chain.instrument
+    read = (coordinate for kind in (TRACKER, instrument) for coordinate in kind.coordinates[:1])
+    if any(f"{name}_{unit}" in table for name, quantity, _ in read for unit in UNITS[quantity]):
+        return False
+    return "run" in table or (not instrument.contact and all(map(PLANNED.fullmatch, table.frame.columns)))
+
+
 @dataclass(frozen=True, eq=False)
 class Plan(ByValue):
     """m postures of an n-link arm, in the order of measurement, or an approximate design with weights.

@@ -18,7 +18,7 @@ from identification.campaign import campaign_document
 from identification.document import Document
 from identification.files.measurement import measurement_text
 from identification.running import additions, single_thread
-from identification.workflow import VERBS, Written, compensate_files, identify_files, validate_files
+from identification.workflow import VERBS, Written, check_files, compensate_files, identify_files, validate_files
 from tests.refusals import refused
 
 LENGTHS = [300.0, 200.0]
@@ -110,8 +110,12 @@ def test_what_a_calibration_leaves_of_other_rows_is_said_first(folder: Path) -> 
 
 
 def test_a_plan_is_read_and_what_is_no_table_of_the_arm_is_one_line(folder: Path) -> None:
-    (folder / "plan.csv").write_text("run,q1_deg,q2_deg\n1,10,20\n")
-    assert campaign_document([folder / "arm.toml", folder / "plan.csv"])[0].verdict[0].endswith("plan.csv has 1 run.")
+    (folder / "plan.csv").write_text("run,q1_deg,q2_deg,remark\n1,10,20,low\n")
+    with pytest.warns(UserWarning, match="not used: 'remark'"):
+        assert check_files(folder / "arm.toml", folder / "plan.csv").data["ok"]
+    with pytest.warns(UserWarning, match="not used: 'remark'"):
+        verdict = campaign_document([folder / "arm.toml", folder / "plan.csv"])[0].verdict[0]
+    assert verdict.endswith("plan.csv has 1 run.")
     (folder / "plan.csv").write_text("a,b\n1,10\n")
     refused(campaign_document, [folder / "arm.toml", folder / "plan.csv"], names=["q1_deg"])
 
