@@ -19,6 +19,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, is_dataclass
+from io import TextIOWrapper
 from pathlib import Path
 from shutil import get_terminal_size
 from types import NoneType, UnionType
@@ -396,6 +397,8 @@ def shown(answer: Answer, as_json: bool) -> None:
     from rich.console import Console
     from rich.segment import Segment, Segments
 
+    if isinstance(sys.stdout, TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")  # dashes and lines of tables that its encoding does not have
     # a pipe has no width; brackets of effects are no markup
     console = Console(width=get_terminal_size((110, 0)).columns, highlight=False, markup=False)
     # names in files may have control characters, which a terminal would obey
