@@ -90,12 +90,8 @@ def fit_facts(fit: Identification) -> dict[str, str | None]:
         tip = f"{measured}, {fit.expected_tip:.4g} mm over the joint limits (RMS), if the model is right{doubt}"
     if fit.sigma is not None:
         sigma = f"{fit.sigma:.4g} {unit} per coordinate ({'given' if fit.sigma_known else 'estimated'})"
-    if fit.p_value is not None:
-        chi2 = f"{fit.chi2:.4g}, {p_value_in_words(fit.p_value)}"
-        if (
-            fit.scatter is not None and fit.sigma and not np.isclose(fit.scatter, fit.sigma)
-        ):  # a prior's fit has no less
-            chi2 += f": the residuals scatter {fit.scatter / fit.sigma:.3g} times sigma_mm"
+    if fit.p_value is not None and (times := fit.times_sigma) is not None:
+        chi2 = f"{fit.chi2:.4g}, {p_value_in_words(fit.p_value)}: the residuals scatter {times:.3g} times sigma_mm"
     if fit.rms_angles is not None:
         angles = "from {:.4g} to {:.4g} deg".format(*np.degrees(fit.rms_angles))
     return {

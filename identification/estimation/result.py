@@ -78,7 +78,8 @@ class Identification(Documented):
     chi2 : weighted sum of squares in units of sigma^2, None if sigma was not given
     dof : d m equations minus the number of estimable combinations
     residuals_before, residuals_after : (m, d) measured minus computed [mm], with the arm as it was and as identified
-    scatter : standard deviation of one coordinate that the residuals show [mm], None without spare equations
+    scatter : standard deviation of one coordinate that the residuals show [mm], None without spare equations; with a
+        prior no less than a sigma that is given
     postures : (k, n) measured [rad, mm], each once for every marker and session;  inside : `WhiteRows.inside`
     outlier_rows : numbers from 1 of single rows that the model does not explain, which are in the fit all the same
     unexplained_rows : the same of rows that come together, by posture or joint angle: what the model lacks there
@@ -144,6 +145,11 @@ class Identification(Documented):
         """Probability of a chi2 at least this large if model and sigma are right; None if sigma was not known."""
         return None if self.chi2 is None or self.dof == 0 else float(chdtrc(self.dof, self.chi2))
 
+    @property
+    def times_sigma(self) -> float | None:
+        """What the residuals scatter by as a multiple of the sigma given; None where there is none or nothing left."""
+        return None if self.chi2 is None or self.dof <= 0 else float(np.sqrt(self.chi2 / self.dof))
+
     # how far the tip may be from where this fit computes it [mm], RMS over the joint limits, and over further postures
     # like those measured; None: not known
     expected_tip = cached_property(lambda self: tip_of(self, measured=False))
@@ -152,9 +158,8 @@ class Identification(Documented):
     @property
     def misfit(self) -> str | None:
         """What chi2 says where it rejects the model or the sigma given, and what follows for the intervals."""
-        if self.p_value is None or self.p_value >= LEVEL or self.scatter is None or not self.sigma:
+        if self.p_value is None or self.p_value >= LEVEL or (times := self.times_sigma) is None:
             return None
-        times = self.scatter / self.sigma
         scatter = f"{shown.MISFIT} {times:{'.3g' if times < 1000.0 else '.0f'}} times sigma_mm = {self.sigma:.4g}"
         figures = f"chi2 {self.chi2:.4g}, {self.dof} degrees of freedom, {shown.p_value_in_words(self.p_value)}"
         cause, do = "the model is incomplete or sigma_mm too small", "armcal diagnose looks for what is missing"
