@@ -29,7 +29,14 @@ from identification.kinematics.chain import standing_in
 from identification.kinematics.counting import turned_into
 from identification.kinematics.parameters import REVOLUTE
 from identification.levenberg_marquardt import Index, levenberg_marquardt, newton_ascent
-from identification.measurements import POINT, Conditions, directions_from_order, distances, past_from_order
+from identification.measurements import (
+    POINT,
+    REMEMBERED,
+    Conditions,
+    directions_from_order,
+    distances,
+    past_from_order,
+)
 from identification.model import Model
 from identification.model.placed import in_own_frame
 from identification.provenance import check_calibrated, extrapolated, familiar_range, outside, provenance_of
@@ -114,16 +121,19 @@ def compensate(
         assumed.append(f"{', '.join(warm)}: taken at the mean temperature of the identification{at}")
     near = np.tile(np.add(*familiar) / 2.0, (len(goals), 1)) if nominal is None else nominal
     task, sided = Task(model, goals, near, where, *limits, constraints, tolerance), tuple[str, ...]()
-    commands = task.reached_within(boxes) if nominal is None else nominal
-    if where.directions is None and len(goals):  # effects whose error depends on the side that a joint comes from
+    commands, driven = task.reached_within(boxes)
+    if where.directions is None and driven.any():  # effects whose error depends on the side that a joint comes from
         sided = tuple(sorted({e.name for e in model.effects if not {"directions", "past"}.isdisjoint(e.needs)}))
-        past = past_from_order(commands) if "past" in model.needs else None
-        where = replace(where, directions=directions_from_order(commands), past=past)
+        # that of the target before which is driven to, which others are not
+        directions, past = np.ones_like(commands), np.repeat(commands[:, :, None], REMEMBERED, axis=2)
+        directions[driven] = directions_from_order(commands[driven])
+        past[driven] = past_from_order(commands[driven])
+        where = replace(where, directions=directions, past=past)
         rising, falling = (commands + servo_shift(arm, side * np.ones_like(commands)) for side in (1.0, -1.0))
         apart = model.position(rising, conditions=where) - model.position(falling, conditions=where)
         sided += (SERVO,) if distances(apart).max() > 0.1 * likely else ()  # convention: what counts beside the rest
-    if nominal is not None or sided:
-        commands = task._replace(near=commands, conditions=where).reached_within(boxes)
+    if sided:
+        commands, _ = task._replace(near=commands, conditions=where).reached_within(boxes)
     left = goals - model.position(commands, conditions=where) if len(goals) else goals
     angles = None if turned is None else np.linalg.norm(left[:, POINT.stop :], axis=1) / model.reach
     missed = [list[str]() for _ in goals]  # constraints, of bodies with the two that come nearest to what they keep
@@ -331,9 +341,9 @@ class Task(NamedTuple):
         """Of some of the goals."""
         return self._replace(goals=self.goals[rows], near=self.near[rows], conditions=self.conditions.rows(rows))
 
-    def reached_within(self, boxes: Sequence[tuple[Array, Array]]) -> Array:
+    def reached_within(self, boxes: Sequence[tuple[Array, Array]]) -> tuple[Array, NDArray[np.bool_]]:
         """(k, n) postures that reach the goals within the first of the limits in which one does; where none does, the
-        closest to the goal within the first."""
+        closest to the goal within the first. And (k,) where one does."""
         kinds = self.model.joint_types
         first, *wider = (
             self._replace(near=turned_into(self.near, low, high, kinds), lower=low, upper=np.maximum(high, low + 1e-9))
@@ -347,7 +357,7 @@ class Task(NamedTuple):
             postures[missed[good]], ranks[missed[good]] = ends[good], NEAR
         if (beyond := np.flatnonzero(ranks[:, 0] >= BEYOND)).size:
             postures[beyond, 0] = first.at(beyond).closest(postures[beyond])
-        return postures[:, 0]
+        return postures[:, 0], ranks[:, 0] < MISSED
 
     def searched(self) -> tuple[Array, Array]:
         """The best few postures (k, f, n) and their ranks (k, f): what `near` leads to; of goals not reached what

@@ -257,6 +257,10 @@ def test_the_side_of_the_approach_is_said() -> None:
     np.testing.assert_allclose(tip(found.commands + offsets + play, lengths), found.targets, rtol=0, atol=TOLERANCE)
     missed = np.linalg.norm(tip(found.commands + offsets - play, lengths) - found.targets, axis=1)
     assert np.all(missed > 1.0)  # 2 x 2e-3 rad on some 390 mm
+    # nobody drives to what is out of reach: where it would have joint 2 does not matter to the next
+    between = compensate(played, np.insert(found.targets, 1, [0.0, 5000.0], axis=0), np.insert(nominal, 1, 1.0, axis=0))
+    assert between.reached.tolist() == [True, False, True]
+    np.testing.assert_allclose(between.commands[between.reached], found.commands, rtol=0, atol=1e-9)
     late = arm(EffectSpec("servo_error", 2, {"b": 0.0, "h": 2e-3}))
     assert compensate(late, postures=nominal).warnings == [said.replace("backlash", "servo_error")]
     given = Conditions(directions=np.ones((2, 4)))
