@@ -280,7 +280,7 @@ class Steps {
 
   // sum over the moves of the largest joint travel
   travel(runs) {
-    const stops = runs.flatMap((run, place) => [...(place && this.follows(place) ? this.plan.via[run] : []), this.plan.postures[run]]);
+    const stops = runs.flatMap((run, place) => [...(this.follows(place) ? this.plan.via[run] : []), this.plan.postures[run]]);
     const moves = stops.slice(1).map((to, k) => Math.max(...to.map((angle, j) => Math.abs(angle - stops[k][j]))));
     return moves.reduce((sum, move) => sum + move, 0);
   }

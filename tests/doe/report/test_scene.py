@@ -294,12 +294,12 @@ def test_a_finger_turns_the_view_or_scrolls_the_page(opened: Any, address: str) 
 
 
 def test_way_points_are_passed_and_stay_with_their_move(opened: Any, tmp_path: Path) -> None:
-    """Run 3 is reached by two of them; they are in the edited file as long as run 2 is measured before it, as is how
-    its joints come to it."""
-    q = np.degrees(POSTURES[:5]).round(3)
-    kinds = ["measure", "measure", "via", "via", "measure"]
+    """Run 1 is reached by one, run 3 by two of them; they are in the edited file as long as run 2 is measured before
+    run 3, as is how its joints come to it."""
+    q = np.degrees(POSTURES[:6]).round(3)
+    kinds = ["via", "measure", "measure", "via", "via", "measure"]
     signs = ["+1" if kind == "measure" else "" for kind in kinds]
-    rows = [",".join([kinds[k], *map(str, q[k]), *6 * [signs[k]]]) for k in range(5)]
+    rows = [",".join([kinds[k], *map(str, q[k]), *6 * [signs[k]]]) for k in range(6)]
     names = ",".join(["kind", *(f"q{j}_deg" for j in range(1, 7)), *(f"direction{j}" for j in range(1, 7))])
     (tmp_path / "plan.csv").write_text("\n".join([names, *rows]) + "\n")
     plan = Plan.load(tmp_path / "plan.csv", ARM.joint_types, vias=True)
@@ -307,7 +307,7 @@ def test_way_points_are_passed_and_stay_with_their_move(opened: Any, tmp_path: P
     seen = Watched(opened, (tmp_path / "page.html").as_uri())
     assert seen.page.locator(".plan tbody tr").count() == 3
     seen.page.get_by_role("button", name="Step").click()
-    np.testing.assert_allclose(np.degrees(seen.page.evaluate("plans[0].way")), q[1:], atol=1e-6)
+    np.testing.assert_allclose(np.degrees(seen.page.evaluate("plans[0].way")), q[2:], atol=1e-6)
     travel = float(np.abs(np.diff(q, axis=0)).max(axis=1).sum())
     assert float(seen.facts()["joint travel"].removesuffix(" deg")) == pytest.approx(travel, abs=0.051)
     saved = []
@@ -320,7 +320,7 @@ def test_way_points_are_passed_and_stay_with_their_move(opened: Any, tmp_path: P
         assert new == ("0" if len(saved) != 2 else "2")  # 2 1 3
         seen.page.get_by_role("button", name=button).click()
     seen.close((tmp_path / "page.html").as_uri())
-    for file, order in zip(saved, ([0, 1, 2, 3, 4], [1, 0, 4], [0, 1, 2, 3, 4]), strict=True):
+    for file, order in zip(saved, ([*range(6)], [2, 1, 5], [*range(6)]), strict=True):
         np.testing.assert_allclose(np.degrees(file.postures), q[order], atol=1e-9)
         assert file.cells["kind"] == [kinds[k] for k in order]
         known = signs if len(order) > 3 else 3 * [""]
