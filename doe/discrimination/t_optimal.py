@@ -28,7 +28,8 @@ class NextPostures:
     """The measurements that should distinguish the candidates.
 
     plan : (K) postures in the order of measurement, and of their conditions `payload` (K,) [kg] where there was a
-        choice and `directions` (K, n) of approach where they matter
+        choice
+    directions : (K, n) of approach, +1 or -1 as the controller counts, where they matter
     chance : upper bound on the predicted probability that only the right candidate is left
     pairs : (candidate, rival) -> expected lambda between them;  status : `local_optimum`, or what ended it
     """
@@ -37,6 +38,7 @@ class NextPostures:
     chance: float
     pairs: dict[tuple[str, str], float]
     status: Status = Status.local_optimum
+    directions: Array | None = None
 
     def __str__(self) -> str:
         cut = ", their search was cut" if self.status is not Status.local_optimum else ""
@@ -46,9 +48,9 @@ class NextPostures:
     @property
     def columns(self) -> dict[str, Array]:
         """Those of the plan file that say how to measure: payload and directions, where they matter."""
-        payload, directions = (self.plan.conditions.get(name) for name in ("payload", "directions"))
+        payload = self.plan.conditions.get("payload")
         columns = {} if payload is None else {"payload_kg": payload}
-        sides = () if directions is None else directions.T
+        sides = () if self.directions is None else self.directions.T
         return columns | {f"direction{j}": side for j, side in enumerate(sides, start=1)}
 
     def to_json(self) -> dict[str, Any]:
@@ -56,7 +58,7 @@ class NextPostures:
         return {
             "postures_deg": self.plan.displayed,
             "payload_kg": self.plan.conditions.get("payload"),
-            "directions": self.plan.conditions.get("directions"),
+            "directions": self.directions,
             "chance": self.chance,
             "status": self.status.name,
             "pairs": [{"candidate": a, "rival": b, "lambda": size} for (a, b), size in self.pairs.items()],
@@ -81,7 +83,8 @@ class RivalPredictions:
 
     @classmethod
     def of(cls, diagnosis: Diagnosis, postures: Array, payload: Array | None, directions: Array) -> RivalPredictions:
-        """Of every candidate, at postures (N, n), with payloads (N,) [kg] and directions of approach (N, n)."""
+        """Of every candidate, at postures (N, n), with payloads (N,) [kg] and directions of approach (N, n), as
+        `Diagnosis.predictions` has them."""
         positions, jacobians, sigma = [], [], diagnosis.sigma
         for position, jacobian, covariance, scales in diagnosis.predictions(postures, payload, directions):
             values, vectors = np.linalg.eigh(covariance * np.outer(scales, scales))
@@ -164,10 +167,10 @@ def discriminate(
     np.fill_diagonal(chance, 1.0)
     names = [" + ".join(candidate.effects) for candidate in diagnosis.candidates]
     conditions = {} if payload is None else {"payload": payload[chosen]}
-    conditions |= {"directions": directions[chosen]} if "directions" in diagnosis.needs else {}
     return NextPostures(
         Plan(pool[chosen], joint_types=problem.model.joint_types, conditions=conditions),
         rivals.right * float(rivals.weights @ chance.min(axis=1)),
         {(names[i], names[j]): float(np.sqrt(squares[i, j])) for i, j in permutations(range(len(names)), 2)},
         status,
+        directions[chosen] if "directions" in diagnosis.needs else None,
     )

@@ -191,7 +191,8 @@ def diagnose(
         replace(one, calibration=without_sessions(one.calibration))
         for one in (result.named, result.predicting, *result.candidates)
     )
-    return replace(result, arm=with_base(one_session), candidates=tuple(others), named=first, predicting=average_there)
+    there = replace(result, named=first, predicting=average_there, candidates=tuple(others), in_sessions=result)
+    return replace(there, arm=with_base(one_session))
 
 
 def check_input(arm: object, measurements: Measurements, holdout: Measurements | None) -> None:

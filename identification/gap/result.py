@@ -243,6 +243,7 @@ class Diagnosis(Documented):
     replication : entries of that key, one for each named effect;  curves : error curves of joints in the best set
     warnings : doubts about data and fit, to be read before the verdict;  notes : remarks
     offered : the extended model beside the geometry alone, None where it was not judged (`validate.judged`)
+    in_sessions : the same with the bases of all sessions, where there are several
     """
 
     arm: Arm
@@ -270,6 +271,7 @@ class Diagnosis(Documented):
     curves: tuple[Curve, ...] = ()
     unexplained_rows: tuple[int, ...] = ()
     offered: Mapping[str, Any] | None = None
+    in_sessions: Diagnosis | None = None
 
     @property
     def verdict(self) -> str:
@@ -340,12 +342,14 @@ class Diagnosis(Documented):
     def predictions(
         self, postures: Array, payload: Array | None, directions: Array
     ) -> Iterator[tuple[Array, Array, Array, Array]]:
-        """What each candidate predicts at postures (N, n) in the middle of the session, with payloads (N,) [kg], None:
-        that of the arm, and directions of approach (N, n): positions (N, d), Jacobians (N, d, p), the covariance (p, p)
-        of the parameters, fitted to the data at hand, and their scales (p,)."""
-        conditions = Conditions(payload, None, np.full(len(postures), 0.5), directions)
-        for candidate in self.candidates:
-            model, fit = Model(self.extended_arm(candidate)), candidate.calibration
+        """What each candidate predicts at postures (N, n) at the end of the last session, with payloads (N,) [kg],
+        None: that of the arm, and directions of approach (N, n) as the controller counts: positions (N, d), Jacobians
+        (N, d, p), the covariance (p, p) of the parameters, fitted to the data at hand, and their scales (p,)."""
+        whole, last = self.in_sessions or self, np.full(len(postures), self.measurements.numbers("session").max())
+        of_joints = np.nan_to_num(self.arm.counting.signs_of_columns(directions, back=True))  # as a file says
+        conditions = Conditions(payload, None, np.full(len(postures), 0.5), of_joints, last.astype(float))
+        for candidate in whole.candidates:
+            model, fit = Model(whole.extended_arm(candidate)), candidate.calibration
             if fit.covariance is None:
                 raise InputError("diagnosis: a candidate has no covariance, allowed: the result of diagnose()")
             order = [fit.parameter_names.index(name) for name in model.names]

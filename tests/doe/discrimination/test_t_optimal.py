@@ -6,13 +6,15 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from itertools import count
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from doe.discrimination.t_optimal import RivalPredictions, discriminate
 from doe.problem.constraints import constraints_of
-from identification import Arm, Diagnosis, Gravity, InputError, Model, Status, chain_of, diagnose
+from identification import Arm, Diagnosis, EffectSpec, Gravity, InputError, Model, Plan, Status, chain_of, diagnose
+from identification.kinematics.counting import Counting
 from identification.kinematics.frames import from_roll_pitch_yaw, pose
 from identification.measurements import Conditions, Measurements, rms_distance
 from identification.workspace import WorkspaceBox
@@ -26,15 +28,19 @@ ARM = Arm(
 
 
 @cache
-def ambiguous() -> Diagnosis:
-    """The first of the seeds whose gear ratio error, on few postures in a narrow range, has several explanations."""
+def ambiguous(later: int = 0) -> Diagnosis:
+    """The first of the seeds whose gear ratio error, on few postures in a narrow range, has several explanations; the
+    `later` ones of them after the arm was set up again."""
     for seed in range(3, 50):  # none of the first three
         rng = np.random.default_rng(seed)
         q = rng.uniform(-0.9, 0.9, (14, 3))
         bent = q.copy()
         bent[:, 1] += 2e-3 * q[:, 1]
         positions = Model(ARM).position(bent) + 0.05 * rng.normal(size=(14, 2))
-        data = Measurements(q, positions)
+        session = np.where(np.arange(14) < 14 - later, "old", "new")
+        positions[session == "new"] += [30.0, -20.0]
+        names = {"session": session, "session_names": ("old", "new")} if later else {}
+        data = Measurements(q, positions, **names)
         found = diagnose(ARM, data)
         if found.verdict == "ambiguous":
             return found
@@ -124,6 +130,33 @@ def test_same_seed_same_postures_and_payload_is_a_choice() -> None:
     np.testing.assert_array_equal(first.plan.postures, second.plan.postures)
     assert set(first.plan.conditions["payload"]) <= {0.0, 5.0}
     assert "payload" not in discriminate(ARM, found, 3, seed=4).plan.conditions
+
+
+def test_directions_are_those_of_files(tmp_path: Path) -> None:
+    """As the controller counts: joint 2, which has play, the other way."""
+    arm = replace(ARM, counting=Counting((1, -1, 1), (0, 0, 2), (0.0, 0.0, 0.0)))
+    arm = arm.with_effects(EffectSpec("backlash", 2, {"b": 2e-3}))
+    found = replace(ambiguous(), arm=arm)
+    chosen = discriminate(arm, found, 6, seed=1)
+    (tmp_path / "next.csv").write_text(chosen.plan.text(further=chosen.columns))
+    read = Plan.load(tmp_path / "next.csv", arm.joint_types)
+    np.testing.assert_array_equal(read.conditions["directions"][:, 1], -chosen.directions[:, 1])
+    measured = Conditions(time=np.full(6, 0.5), directions=-chosen.directions)
+    predictions = found.predictions(read.postures, None, chosen.directions)
+    for candidate, (predicted, *_) in zip(found.candidates, predictions, strict=True):
+        expected = Model(found.extended_arm(candidate)).position(read.postures, None, measured)
+        np.testing.assert_allclose(predicted, expected, atol=1e-9)
+
+
+def test_further_rows_are_predicted_where_the_arm_stands_now() -> None:
+    """Of two sessions in the last, whose base is known from its own few rows."""
+    found = ambiguous(later=4)
+    q, positions = found.measurements.postures[10:], found.measurements.positions[10:]
+    for predicted, jacobian, covariance, _ in found.predictions(q, None, np.ones((4, 3))):
+        assert rms_distance(predicted - positions) < 3.0 * 0.05
+        # of the mean of four positions no more is known than they say
+        mean = jacobian.mean(axis=0)
+        assert np.sqrt(np.trace(mean @ covariance @ mean.T)) > 0.99 * 0.05 * np.sqrt(2.0 / 4.0)
 
 
 def test_bad_input() -> None:
