@@ -281,6 +281,9 @@ def test_what_happened_in_the_session_is_over_and_the_temperature_is_its_mean() 
         "joint_step:2: the value at the end of the session of the identification is used",
         "thermal_growth: taken at the mean temperature of the identification",
     ]
+    sags = arm(EffectSpec("joint_compliance", 2), values={"joint_compliance:2.c": 1e-5})
+    carried = f"joint_compliance:2: taken with the payload of the arm file, {GRAVITY.payload:g} kg"
+    assert compensate(sags, postures=nominal).warnings == [carried]
     given = Conditions(time=np.zeros(2), temperature=np.zeros(2))
     before = compensate(jumped, postures=nominal, conditions=given)
     assert before.warnings == []
