@@ -105,7 +105,7 @@ class Clearance:
         lengths = np.linalg.norm(np.diff(model.joint_frames(drawn[:1])[0, :, :3, 3], axis=0), axis=1)
         bare = [f"joint {j}" for j in (np.flatnonzero(lengths > ROUNDING) + 1).tolist() if j not in joints]
         # links without meshes, and joints that carry a link that nobody has described
-        self.unseen, self.bare = ([", ".join(e)] if e else [] for e in (getattr(cell.bodies, "unseen", ()), bare))
+        self.unseen, self.bare = getattr(cell.bodies, "unseen", ()), bare
         self.asked = np.minimum(self.usual, 0.25 * largest)[kept]
         self._pieces = self._pieces[kept[self._pieces[:, 0]]]
         self._pieces[:, 0] = np.unique(self._pieces[:, 0], return_inverse=True)[1]
@@ -157,24 +157,22 @@ class Clearance:
         lines += [f"  run {each['run']}: {distance_in_words(each)}" for each in near]
         if not near:
             usual = int(np.sum(self.asked >= self.usual))
-            stay = f"of bodies stay{'s' * (usual == 1)} {self.usual:g} mm apart"
-            lines.append(f"Collisions: {_counted(usual)} {stay} in all {many} postures.")
+            stay = "pair of bodies stays" if usual == 1 else "pairs of bodies stay"
+            lines.append(f"Collisions: {usual} {stay} {self.usual:g} mm apart in all {many} postures.")
         return lines + self.not_looked_at()
 
     def not_looked_at(self) -> list[str]:
         """What is to be said of pairs that less is asked of, or nothing, and of what may collide unseen."""
-        most, few, lines = 6, np.flatnonzero(self.asked < self.usual), list[str]()
+        few = np.flatnonzero(self.asked < self.usual)
         narrow = [f"{' and '.join(self.pairs[k])} ({self.asked[k]:.3g} mm)" for k in few]
         touching = [" and ".join(pair) for pair in self.touching]
-        for why, pairs in (
+        whys = (
             ("Asked to stay apart by less, since they are near wherever the arm goes", narrow),
             ("Not looked at, since they touch wherever the arm goes", touching),
             ("Not looked at, since their meshes are not found", self.unseen),
             ("Not looked at, since no body is known that moves with", self.bare),
-        ):
-            rest = f" and {_counted(len(pairs) - most)} more" if len(pairs) > most else ""
-            lines += [f"{why}: {', '.join(pairs[:most])}{rest}."] if pairs else []
-        return lines
+        )
+        return [f"{why}: {', '.join(each)}." for why, each in whys if each]
 
     def _seen(self, postures: Array) -> tuple[Array, NDArray[np.intp]]:
         """(m, k) distances of the pairs at postures (m, n), and numbers of the pairs of pieces that have them; kept for
@@ -284,10 +282,6 @@ def distance_in_words(near: Mapping[str, Any]) -> str:
     """Of two bodies, as `Clearance.too_near` has them."""
     gap = near["distance_mm"]
     return f"{' and '.join(near['bodies'])} {f'overlap by {-gap:.1f} mm' if gap < 0.0 else f'are {gap:.1f} mm apart'}"
-
-
-def _counted(pairs: int) -> str:
-    return f"{pairs} pair{'s' * (pairs != 1)}"
 
 
 # -- geometry: vectors run along the first axis of arrays --------------------------------------------------------------

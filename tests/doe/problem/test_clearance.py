@@ -113,6 +113,12 @@ def test_what_is_always_near_may_stay_near(place: float, touching: int, asked: l
     assert clearance.asked.tolist() == pytest.approx(asked)
 
 
+def test_every_pair_that_is_not_looked_at_is_named() -> None:
+    balls = ball("first", 1, 400.0, 0.0, 10.0), *(ball(f"ball {k}", 2, 15.0, 0.0, 10.0) for k in range(9))
+    (said,) = Clearance(design_model(Model(Arm(np.array([400.0, 300.0]), cell=Cell(balls))))).not_looked_at()
+    assert [f"ball {k} and first" in said for k in range(9)] == 9 * [True]
+
+
 def test_slopes_are_differences_of_margins(clearance: Clearance, postures: Array) -> None:
     step = 1e-6
     slopes = clearance.first(postures)[1]
