@@ -143,13 +143,16 @@ def run_tasks(
             raise InputError(f"{path}: its rows are of --seed {made}, found {seed}, allowed: {allowed}")
     waiting, running = deque(text for text in asked if text not in rows), dict[Future[Any], str]()
     done, failed, due = len(asked) - len(waiting), 0, time.monotonic() + EVERY
+    own = resume or force  # the table is this run's, not of another that began meanwhile
 
     def save() -> None:
         """In the order of the keys, whichever finished first."""
+        nonlocal own
         every = [row for text in (asked | rows) for row in rows.get(text, ())]
         if path is not None and any(row.get("status") != "failed" for row in every):
             path.parent.mkdir(exist_ok=True)
-            write_together({path: parquet(frame_of(every))}, force=True)
+            write_together({path: parquet(frame_of(every))}, force=own)
+            own = True
 
     def store(text: str, of_task: list[Row]) -> None:
         nonlocal done, failed, due

@@ -249,6 +249,18 @@ def test_a_table_is_one_file_that_is_refused_resumed_or_replaced(tmp_path: Path)
     assert list(path.parent.iterdir()) == [path]
 
 
+def test_the_table_of_another_run_that_began_meanwhile_stays(tmp_path: Path) -> None:
+    path, other = tmp_path / "rows.parquet", list[object]()
+
+    def begin(*_: object) -> None:
+        if not other:
+            other.append(run_tasks(work.draw, KEYS[:2], path, seed=5))
+
+    with pytest.raises(InputError, match="the file exists, allowed: a new file name"):
+        run_tasks(work.draw, KEYS[:2], path, seed=6, progress=begin)
+    assert pl.read_parquet(path)["value"].to_list() == work.drawn(KEYS[:2], seed=5)
+
+
 @pytest.mark.parametrize("writing", [False, True])
 def test_ctrl_c_keeps_what_is_finished(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, writing: bool) -> None:
     """While a task runs; a second one while the table is written leaves no half of it."""
