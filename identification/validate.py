@@ -147,8 +147,10 @@ class Validation(Documented):
         if far := extrapolated(outside(arm, measurements.postures), "rows"):
             yield far
         model = Model(arm)
-        if once := [effect.key for effect in model.effects if effect.once and refit != "none" and own < MOST]:
-            yield f"{', '.join(once)}: the value at the end of the session of the identification is used in all rows"
+        if once := [effect.key for effect in model.effects if effect.once and own < MOST]:
+            at_end = "the value at the end of the session of the identification is used in all rows"
+            again = "these rows are taken for that session from its beginning to its end"
+            yield f"{', '.join(once)}: {again if refit == 'none' else at_end}"
         yield from lacking(model, measurements)
         if left_open:
             yield "the postures do not determine everything that is refitted; what they leave open stays as in the file"

@@ -215,7 +215,9 @@ def test_what_happened_in_one_session_is_over_in_the_next(at: float) -> None:
     assert validate(arm, data, refit="base").model.rms < 1e-6
     reached = Model(after).position(compensate(arm, data.positions, data.postures).commands)
     np.testing.assert_allclose(reached, data.positions, atol=1e-6)
-    assert validate(arm, data, refit="none").model.rms > 0.1  # the same session: half of its rows are before the jump
+    same = validate(arm, data, refit="none")  # the same session: half of its rows are before the jump
+    assert same.model.rms > 0.1
+    assert "joint_step:2: these rows are taken for that session from its beginning to its end" in same.notes
 
 
 # -- curves with the geometry that was fitted with them ---------------------------------------------------------------
