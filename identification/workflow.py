@@ -64,6 +64,7 @@ def words(text: str) -> list[str]:
 Written = NewType("Written", Path)  # a file that a verb writes
 Folder = NewType("Folder", Path)  # that a verb writes files into
 Names = Annotated[list[str], words, "NAMES"]
+Folders = Annotated[tuple[Path, ...], "DIR"]
 
 
 # -- reading -----------------------------------------------------------------------------------------------------------
@@ -113,7 +114,7 @@ def init_files(
     dh: Annotated[int, range(1, 13), "N"] | None = None,
     base_link: str | None = None,
     tip_link: str | None = None,
-    package_dir: tuple[Path, ...] = (),
+    package_dir: Folders = (),
     instrument: Annotated[str, "KIND"] | None = None,
     out: Folder = Folder(Path(".")),  # noqa: B008
     force: bool = False,
@@ -183,7 +184,7 @@ def check_files(
     arm: Path,
     data: Path,
     *,
-    package_dir: tuple[Path, ...] = (),
+    package_dir: Folders = (),
     constraints: Callable[[Any], Sequence[Any]] = lambda _: (),
     said_of_collisions: Callable[..., tuple[dict[str, Any], list[str]]] = lambda *_: ({}, []),
     moves: Callable[..., tuple[list[Any], list[str]]] = lambda *_: ([], []),
@@ -520,7 +521,7 @@ def compensate_files(
     *,
     out: Written | None = None,
     force: bool = False,
-    package_dir: tuple[Path, ...] = (),
+    package_dir: Folders = (),
     constraints: Callable[[Any], Sequence[Any]] = lambda _: (),
     said_of_collisions: Callable[..., tuple[dict[str, Any], list[str]]] = lambda *_: ({}, []),
 ) -> Answer:

@@ -42,7 +42,7 @@ class Verbs(click.Group):
         except click.exceptions.NoArgsIsHelpError as error:  # the whole help, on purpose
             error.show()
         except click.UsageError as error:
-            click.UsageError(in_one_line(error.format_message())).show()
+            click.UsageError(in_one_line(error.format_message().replace("\n\t", " "))).show()
         except OSError as error:
             say(f"standard output cannot be written ({error.strerror})")
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # else Python tries again when it ends

@@ -89,9 +89,9 @@ WholeNumbers = Annotated[list[int], whole_numbers, "M,.."]
 class JobOptions:
     """Where tasks run, where their rows go, and whether earlier rows are kept or replaced.
 
-    workers : Tasks at the same time; left out: on all cores, of compare one.
+    workers : Tasks at a time; left out: one per core, for compare one.
     cluster : Scheduler of a dask cluster, tcp://host:port.
-    out : Folder; left out: STUDY.results, of compare none.
+    out : Folder of the tables; left out: STUDY.results, for compare none.
     resume : Go on with an interrupted or extended run.
     """
 

@@ -22,7 +22,7 @@ from doe.cli.verb import Count, JobOptions, Picture, Seconds, WholeNumbers, inte
 from identification import InputError, JobError, Progress
 from identification.document import Answer, Document, Sheet, in_a_sentence
 from identification.files.io import write_together
-from identification.workflow import VERBS, Folder, Names, Written
+from identification.workflow import VERBS, Folder, Folders, Names, Written
 
 if TYPE_CHECKING:
     from doe.problem.problem import DesignProblem
@@ -42,7 +42,7 @@ class CriterionOptions:
     test_poses : CSV of postures that matter, for criterion I.
     subset : Parameters that matter, for Ds: length_error:1,joint_offset:2
     robust : The arm may have effects of the library that its file does not name.
-    missing : Only these effects, for --robust: backlash,gear_ratio
+    missing : Only these effects, for --robust: gear_ratio,joint_coupling
     """
 
     criterion: str | None = None
@@ -151,7 +151,7 @@ def design_files(
     clearance_mm: float | None = None,
     picture: Picture | None = None,
     out: Written | None = None,
-    package_dir: tuple[Path, ...] = (),
+    package_dir: Folders = (),
     force: bool = False,
     seed: int = 0,
     progress: Progress = Progress(),
@@ -165,7 +165,7 @@ def design_files(
     starts : Number of starts.
     seconds : Time budget [s]; left out: none up to 100 runs, 30 for more.
     discriminating : Also make missing effects distinguishable (costs some D-efficiency).
-    order : Of measurement; travel: little joint travel; left out: travel where bodies are known.
+    order : Of measurement; travel: little joint travel; left out: travel where bodies are known, up to 100 runs.
     approach : From where each joint comes to every posture.
     keep : Postures already measured; the plan complements them.
     candidates : CSV of allowed postures to choose from.
@@ -241,15 +241,15 @@ def score_files(
     seconds: Seconds = 20.0,
     robust: bool = False,
     missing: Names | None = None,
-    package_dir: tuple[Path, ...] = (),
+    package_dir: Folders = (),
 ) -> Answer:
     """Judge a plan of your own against the bound.
 
     Efficiency against the bound, expected standard deviations, effects that the PLAN could show.
 
-    seconds : Time budget of the bound [s], which may be cut.
+    seconds : Time budget of the search for the bound [s].
     robust : The arm may have effects of the library that its file does not name.
-    missing : Only these effects, for --robust: backlash,gear_ratio
+    missing : Only these effects, for --robust: gear_ratio,joint_coupling
     """
     from doe.plan.accuracy import average_error, criterion_values, error_at_poses, observability, with_choices
     from doe.plan.moves import in_sentences, unproven
@@ -306,7 +306,7 @@ def advise_files(
     runs: Annotated[str, "A:B"] = "4:40",
     target_mm: float | None = None,
     seconds: Seconds = 60.0,
-    package_dir: tuple[Path, ...] = (),
+    package_dir: Folders = (),
     seed: int = 0,
     progress: Progress = Progress(),
 ) -> Answer:
@@ -349,7 +349,7 @@ def relax_files(
     seconds: Seconds | None = None,
     criterion: CriterionOptions,
     out: Written | None = None,
-    package_dir: tuple[Path, ...] = (),
+    package_dir: Folders = (),
     force: bool = False,
     seed: int = 0,
     progress: Progress = Progress(),
@@ -468,7 +468,7 @@ def program_files(
     speed: Annotated[int, range(1, 101), "PERCENT"] = 20,
     settle: Annotated[float, "S"] = 2.0,
     template: Path | None = None,
-    package_dir: tuple[Path, ...] = (),
+    package_dir: Folders = (),
     out: Written,
     force: bool = False,
 ) -> Answer:
@@ -522,7 +522,7 @@ def discriminate_files(
     payloads: str | None = None,
     seconds: Seconds = 30.0,
     out: Written | None = None,
-    package_dir: tuple[Path, ...] = (),
+    package_dir: Folders = (),
     force: bool = False,
     seed: int = 0,
     progress: Progress = Progress(),
@@ -584,7 +584,7 @@ def report_files(
     files: tuple[Path, ...],
     *,
     out: Written,
-    package_dir: tuple[Path, ...] = (),
+    package_dir: Folders = (),
     force: bool = False,
     page: Callable[[Document, Sequence[Path]], str],
 ) -> Answer:

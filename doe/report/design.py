@@ -181,7 +181,7 @@ def missing_lines(design: Design) -> list[str]:
             few = f"{equations} equations for {problem.parameters} parameters"
             lines.append(f"{few}: so few runs stay far from the bound")
     elif problem.model.sigma is not None and not any(p.of_effect for p in problem.model.parameters):
-        lines.append("The model has no effects, a real arm has: --robust chooses postures with the library's in mind.")
+        lines.append("The model has no effects, but a real arm has: --robust plans with those of the library in mind.")
     return lines
 
 

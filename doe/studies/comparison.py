@@ -63,7 +63,7 @@ def compare(
             raise InputError.unknown("solvers: unknown name", solver, available_solvers())
     for name in criteria:
         if name not in CRITERIA:
-            raise InputError.unknown("criterion: of a comparison found", name, CRITERIA)
+            raise InputError.unknown("criterion: compare does not offer", name, CRITERIA)
     if not 0.0 < seconds < np.inf:  # it is part of every key, in JSON
         raise InputError(f"seconds: found {seconds}, allowed: a finite number > 0")
     by_name = {solver if isinstance(solver, str) else solver.name: solver for solver in solvers}

@@ -86,7 +86,7 @@ class Study:
             arms, plans, others = StudyFile.read(path, replications)
             return cls.of(arms, plans, **others)
         except InputError as error:
-            raise InputError(f"{path}: {error}") from None
+            raise InputError(str(error) if str(error).startswith(f"{path}: ") else f"{path}: {error}") from None
 
     def tasks(self, made: pl.DataFrame) -> Iterator[tuple[Key, Cell | str]]:
         """Key and payload of every block; a cell that cannot be simulated has one block, whose row says why."""

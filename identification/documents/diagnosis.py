@@ -68,7 +68,7 @@ def diagnosis_verdict(data: Data) -> list[str]:
     named, several = effects_in_words(effects), len({label.partition(":")[0] for label in effects}) > 1
     if data["confirmed"] is False:
         partly = "Not confirmed as predicted: the error on rows that no fit has seen falls by less."
-        lines.append(partly if shrinks(data) else "Not confirmed on rows that no fit has seen.")
+        lines.append(partly if shrinks(data) else f"Not confirmed on {judges(data)}.")
     if not is_offered(data):
         lines.append(fits.hardly_better(data["offered"]))
     if verdict == "none" and data["misfit"] and data["misfit"]["significant"]:
@@ -146,6 +146,11 @@ def shrinks(data: Data) -> bool:
     return bool((data["confirmation"] or {}).get("shrinks"))
 
 
+def judges(data: Data) -> str:
+    """The rows by which a model is confirmed or not; those of cross-validation had a part in the choice of effects."""
+    return "rows that no fit has seen" if data["confirmation"] else "rows left out in cross-validation"
+
+
 def is_offered(data: Data) -> bool:
     """Whether the model is better than the geometry alone, as far as that was tried."""
     return bool((data.get("offered") or {"better": True})["better"])
@@ -182,7 +187,7 @@ def diagnosis_actions(
     )
     if data["confirmed"] is False:
         gain = " yet: the error on rows that no fit has seen falls by less than predicted"
-        why = gain if shrinks(data) else ": rows that no fit has seen speak against it"
+        why = gain if shrinks(data) else f": {judges(data)} speak against it"
         return [Action(f"Do not put this into the controller{why}."), confirm]
     if data["verdict"] == "none":
         return [Action(f"Use the calibration of the geometry{joined}:", alone), fits.correct("calibrated.toml")]

@@ -195,7 +195,8 @@ class Problem:
             return cls(model, *rows, relative, None, reliance, prior=prior)
         deviations = np.asarray(stated, dtype=float)
         fits = deviations.shape in ((), (m,)) and bool(np.all(np.isfinite(deviations) & (deviations > 0.0)))
-        require(fits, f"sigma_mm: shape {deviations.shape}, allowed: one number or ({m},), each finite and > 0")
+        found = f"shape {deviations.shape}" if deviations.ndim else f"{deviations:g}"
+        require(fits, f"sigma_mm: {found}, allowed: one number or ({m},), each finite and > 0")
         mean = float(np.sqrt(np.mean(deviations**2)))
         return cls(model, *rows, relative / deviations**2, mean, reliance, prior=prior)
 

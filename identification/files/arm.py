@@ -61,7 +61,7 @@ def load_arm(path: PathLike | Mapping[str, Any], package_dirs: Sequence[PathLike
     tables = read_toml(path)
     for folder in package_dirs:
         if not Path(folder).is_dir():
-            raise InputError(f"--package-dir: {folder} is no folder, allowed: an existing one, in which meshes are")
+            raise InputError(f"--package-dir: {folder} is not a folder, allowed: an existing one with meshes")
     try:
         arm = arm_from_tables(tables, Path(path).parent, package_dirs)
     except InputError as error:

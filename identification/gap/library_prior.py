@@ -100,7 +100,8 @@ def library_prior(
                 added.append(effect.spec)
                 deviations += each
     if not added and not faster.any():
-        raise InputError("effects: none of the library's is left for the prior, allowed: at least one")
+        reasons = f" ({', '.join(f'{key} {why}' for key, why in left_out.items())})" if left_out else ""
+        raise InputError(f"effects: none of the library's is left for the prior{reasons}, allowed: at least one")
     wide = arm.with_effects(*arm.effects, *added)
     if arm.calibration is not None:  # its values follow the new names of its parameters
         renamed = every.renamed(Model(wide))

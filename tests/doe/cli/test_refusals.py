@@ -98,7 +98,10 @@ CASES: list[Case] = [
     *(case(f"relax arm.toml --grid {n}", "grid", n, "allowed: 2 to 256") for n in ("513", "9999999", "9" * 20)),
     case("identify arm.toml data.csv --only length", "'lengths'"),
     case("validate arm.toml data.csv", "calibration"),
+    case("program arm.toml plan.csv --out out.file", "'--robot'. Choose from: ur, abb"),
+    case("compare arm.toml --runs 8 --criterion I", "compare does not offer 'I'; Dstar"),
     # studies
+    case("study none.toml", "armcal: none.toml: no such file"),
     case("study study.toml --cell none", "--cell; blind and blind-spatial"),
     case(["study", "blind", "--cell", "none, Student t4"], "'none, Student t3'"),
     case(["study", "blind-spatial", "--cell", "none m=20"], "--cell; space, none, m=60"),

@@ -66,6 +66,7 @@ def test_effects_are_said_in_words_with_their_names(labels: list[str], words: st
         (said("named", "backlash:2", confirmed=True), f"Missing from the model: {PLAY}", "--out extended.toml"),
         (said("named", "backlash:2"), f"Missing from the model: {PLAY}", "--holdout other.csv"),
         (said("named", "backlash:2", confirmed=False), "Not confirmed on rows that no fit has seen. Missing", ""),
+        (said("named", "backlash:2") | {"confirmed": False}, "Not confirmed on rows left out in cross-validation.", ""),
         (
             said("ambiguous", "backlash:2", "axes_skew", sets=2),
             "2 explanations remain, the most likely with probability 0.40.",

@@ -171,8 +171,8 @@ def test_bad_arguments() -> None:
         estimate(Model(Arm([100.0, 100.0])), measurements)
     with pytest.raises(InputError, match="positions of 3 coordinates, allowed: 2"):
         estimate(model, Measurements(plan(10), np.zeros((10, 3))))
-    for sigma in (0.0, -1.0, np.nan, np.ones(3)):
-        with pytest.raises(InputError, match="sigma_mm: "):
+    for sigma, shown in ((0.0, "0"), (-1.0, "-1"), (np.nan, "nan"), (np.ones(3), r"shape \(3,\)")):
+        with pytest.raises(InputError, match=f"sigma_mm: {shown}, allowed"):
             estimate(model, measurements, sigma=sigma)
     positions = measurements.positions.copy()
     positions[6, 1] = np.inf

@@ -128,6 +128,6 @@ def test_only_what_is_named_may_be_missing_and_unknown_names_are_refused() -> No
     assert list(named.prior.deviations) == ["gear_ratio:1.e", "gear_ratio:2.e"]
     assert library_prior(ARM).prior.own_error == pytest.approx(0.03)
     assert library_prior(Arm([600.0, 400.0])).prior.own_error == pytest.approx(0.06)
-    for name, complaint in (("gear", "unknown name 'gear'"), ("backlash", "none of the library's is left")):
+    for name, complaint in (("gear", "unknown name 'gear'"), ("backlash", r"left for the prior \(backlash:1 needs")):
         with pytest.raises(InputError, match=complaint):
             library_prior(ARM, names=[name])
