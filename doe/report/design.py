@@ -291,8 +291,7 @@ DIAGNOSED = (
 MISSING = (
     "The last two columns: if effects of typical size are missing, and if these are allowed for by identify "
     "--library-prior. They may rise with the runs: more runs do not help against a missing effect; the fit hides it in "
-    "wrong lengths and zeros. Where effects may be missing, choose the postures "
-    "with armcal design --robust."
+    "wrong lengths and zeros. Where effects may be missing, choose the postures with armcal design --robust."
 )
 
 
@@ -332,11 +331,9 @@ def advice_sentence(advice: Advice) -> str:
         return f"None of these plans, of up to {max(advice.runs)} runs, reaches {advice.target:g} mm. {efficient}"
     of = "at the tip" if advice.of_tip else "in each length"
     lacks = advice.tip_errors.get(len(smallest.plan), {}).get("effects_missing", np.inf)
-    missing = f"; at the tip {in_a_sentence(lacks)} mm if effects of typical size are missing" * bool(
-        np.isfinite(lacks)
-    )
-    suffice = f"{len(smallest.plan)} runs suffice for {advice.target:g} mm {of}, if the model is right{missing}."
-    return f"{suffice} {efficient}"
+    missing = f"; at the tip {in_a_sentence(lacks)} mm if effects of typical size are missing"
+    right = f"if the model is right{missing if np.isfinite(lacks) else ''}"
+    return f"{len(smallest.plan)} runs suffice for {advice.target:g} mm {of}, {right}. {efficient}"
 
 
 # -- armcal relax ------------------------------------------------------------------------------------------------------
