@@ -146,7 +146,7 @@ def inspect(arm: Arm, measurements: Measurements) -> Inspection:
         facts |= dict(words[:1] if problems else words)  # data that are to be put right are not judged
     parts = list[Any]()
     if readings.counting is not None and set(readings.sentences) & set(problems):
-        parts.append("If the controller counts that way, the arm file may say so, and data and commands stay its:")
+        parts.append("If the controller counts that way, the arm file can say so, and the data stay as they are:")
         parts += [f"    {line}" for line in readings.counting.toml.splitlines()]
     parts.append(Sheet.facts(facts))
     if not units:
