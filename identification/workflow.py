@@ -64,7 +64,6 @@ def words(text: str) -> list[str]:
 Written = NewType("Written", Path)  # a file that a verb writes
 Folder = NewType("Folder", Path)  # that a verb writes files into
 Names = Annotated[list[str], words, "NAMES"]
-Folders = Annotated[tuple[Path, ...], "DIR"]
 
 
 # -- reading -----------------------------------------------------------------------------------------------------------
@@ -114,7 +113,7 @@ def init_files(
     dh: Annotated[int, range(1, 13), "N"] | None = None,
     base_link: str | None = None,
     tip_link: str | None = None,
-    package_dir: Folders = (),
+    package_dir: tuple[Path, ...] = (),
     instrument: Annotated[str, "KIND"] | None = None,
     out: Folder = Folder(Path(".")),  # noqa: B008
     force: bool = False,
@@ -184,7 +183,7 @@ def check_files(
     arm: Path,
     data: Path,
     *,
-    package_dir: Folders = (),
+    package_dir: tuple[Path, ...] = (),
     constraints: Callable[[Any], Sequence[Any]] = lambda _: (),
     said_of_collisions: Callable[..., tuple[dict[str, Any], list[str]]] = lambda *_: ({}, []),
     moves: Callable[..., tuple[list[Any], list[str]]] = lambda *_: ([], []),
@@ -521,7 +520,7 @@ def compensate_files(
     *,
     out: Written | None = None,
     force: bool = False,
-    package_dir: Folders = (),
+    package_dir: tuple[Path, ...] = (),
     constraints: Callable[[Any], Sequence[Any]] = lambda _: (),
     said_of_collisions: Callable[..., tuple[dict[str, Any], list[str]]] = lambda *_: ({}, []),
 ) -> Answer:

@@ -42,6 +42,7 @@ EVERYWHERE = {  # options that mean the same wherever they are
     "force": "Overwrite existing files.",
     "package_dir": "Folder in which packages of the URDF's meshes are; may be repeated.",
 }
+STANDS_FOR = {"package_dir": "DIR"}  # in the help, as these do
 LONGEST_LINE = 1000  # characters of a message
 
 
@@ -214,7 +215,7 @@ def declared(name: str, hint: Any, default: Any, help_text: str | None) -> click
     kind = click.Choice(get_args(hint)) if origin is Literal else FILES.get(hint, hint)
     settings: dict[str, Any] = {
         "type": next(iter(kinds), kind),
-        "metavar": next((text for text in texts if not text.startswith("--")), None),
+        "metavar": next((text for text in texts if not text.startswith("--")), STANDS_FOR.get(name)),
         "required": default is inspect.Parameter.empty,
     }
     if default is not inspect.Parameter.empty:

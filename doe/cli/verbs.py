@@ -22,7 +22,7 @@ from doe.cli.verb import Count, JobOptions, Picture, Seconds, WholeNumbers, inte
 from identification import InputError, JobError, Progress
 from identification.document import Answer, Document, Sheet, in_a_sentence
 from identification.files.io import write_together
-from identification.workflow import VERBS, Folder, Folders, Names, Written
+from identification.workflow import VERBS, Folder, Names, Written
 
 if TYPE_CHECKING:
     from doe.problem.problem import DesignProblem
@@ -151,7 +151,7 @@ def design_files(
     clearance_mm: float | None = None,
     picture: Picture | None = None,
     out: Written | None = None,
-    package_dir: Folders = (),
+    package_dir: tuple[Path, ...] = (),
     force: bool = False,
     seed: int = 0,
     progress: Progress = Progress(),
@@ -241,7 +241,7 @@ def score_files(
     seconds: Seconds = 20.0,
     robust: bool = False,
     missing: Names | None = None,
-    package_dir: Folders = (),
+    package_dir: tuple[Path, ...] = (),
 ) -> Answer:
     """Judge a plan of your own against the bound.
 
@@ -306,7 +306,7 @@ def advise_files(
     runs: Annotated[str, "A:B"] = "4:40",
     target_mm: float | None = None,
     seconds: Seconds = 60.0,
-    package_dir: Folders = (),
+    package_dir: tuple[Path, ...] = (),
     seed: int = 0,
     progress: Progress = Progress(),
 ) -> Answer:
@@ -349,7 +349,7 @@ def relax_files(
     seconds: Seconds | None = None,
     criterion: CriterionOptions,
     out: Written | None = None,
-    package_dir: Folders = (),
+    package_dir: tuple[Path, ...] = (),
     force: bool = False,
     seed: int = 0,
     progress: Progress = Progress(),
@@ -468,7 +468,7 @@ def program_files(
     speed: Annotated[int, range(1, 101), "PERCENT"] = 20,
     settle: Annotated[float, "S"] = 2.0,
     template: Path | None = None,
-    package_dir: Folders = (),
+    package_dir: tuple[Path, ...] = (),
     out: Written,
     force: bool = False,
 ) -> Answer:
@@ -522,7 +522,7 @@ def discriminate_files(
     payloads: str | None = None,
     seconds: Seconds = 30.0,
     out: Written | None = None,
-    package_dir: Folders = (),
+    package_dir: tuple[Path, ...] = (),
     force: bool = False,
     seed: int = 0,
     progress: Progress = Progress(),
@@ -584,7 +584,7 @@ def report_files(
     files: tuple[Path, ...],
     *,
     out: Written,
-    package_dir: Folders = (),
+    package_dir: tuple[Path, ...] = (),
     force: bool = False,
     page: Callable[[Document, Sequence[Path]], str],
 ) -> Answer:
