@@ -27,7 +27,7 @@ from identification.kinematics.parameters import EFFECT, JOINT_OFFSET, LENGTH_ER
 from identification.measurements import MOST, ROW_DIGESTS, Measurements, digests_in, digests_text, shared_rows
 from identification.model import Model
 from identification.model.placed import SESSIONS, with_base, with_markers
-from identification.provenance import HELD_FROM, without_prior_effects
+from identification.provenance import HELD_FROM, provenance_of, share_fitted, without_prior_effects
 
 # word -> kinds of parameters
 KINDS: Mapping[str, tuple[str, ...]] = {
@@ -163,6 +163,7 @@ def earlier(calibrated: Arm, model: Model, measurements: Measurements) -> Calibr
     standing = {*model.arm.chain.standing}
     of_set_up = {p.name for p in model.all_parameters if p.kind in (BASE, TOOL)}
     of_set_up |= standing if standing <= {*model.all_parameters.names} else set()
+    of_set_up |= {p.name for effect in model.effects if effect.once for p in effect.parameters}  # in its own session
     of_both = calibration.about((set(model.names) | set(held)) - of_set_up)
     if not set(of_both.parameter_names) - set(held):
         raise InputError("prior: no parameter of the model in the calibration, allowed: one of the same arm")
@@ -187,8 +188,14 @@ def same_drawing(calibrated: Arm, arm: Arm) -> bool:
 
 # -- another set-up ----------------------------------------------------------------------------------------------------
 def with_base_doubt(held: Identification, arm: Arm, words: Sequence[str], measurements: Measurements) -> Identification:
-    """A fit of `only` these words, with a doubt where the base is held and the arm stands elsewhere by now: residuals
-    fall as in `doubts.another_frame` where it is estimated, too."""
+    """A fit of `only` these words, with a doubt where what it holds happened once, in another session; and where the
+    base is held and the arm stands elsewhere by now: residuals fall as in `doubts.another_frame` where it is estimated,
+    too."""
+    frozen = set(held.model.held or ())
+    once = [e.key for e in held.model.effects if e.once and not frozen.isdisjoint(p.name for p in e.parameters)]
+    if once and share_fitted(provenance_of(arm), measurements) < MOST:
+        again = f"{', '.join(once)}: held, and so taken to happen again from the first of these rows to the last"
+        held = replace(held, doubts=(*held.doubts, f"{again}; estimate it, too: --only {','.join([*once, *words])}"))
     try:
         model = only(arm, ["base", *words], measurements)
         free = estimate(model, measurements) if "base" not in words else held

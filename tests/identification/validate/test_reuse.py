@@ -95,6 +95,28 @@ def test_what_is_held_conditions_the_prior() -> None:
     np.testing.assert_allclose(found.parameters, expected, rtol=0, atol=1e-8)
 
 
+def test_what_happened_once_is_no_prior_and_is_not_held_in_silence() -> None:
+    """A drift of 2 mm in the first session, none in the second: it comes out as without the earlier calibration."""
+    (first, _), (second, _) = session(6, 30, (0.0, 0.0)), session(7, 30, (0.0, 0.0))
+    first = replace(first, positions=first.positions + np.linspace(-1.0, 1.0, 30)[:, None] * [1.0, 0.0])
+    drifting = ARM.with_effects(*ARM.effects, EffectSpec("base_drift"))
+    calibrated = estimate(Model(drifting), first).calibrated_arm()
+    model = Model(drifting)
+    known = earlier(calibrated, model, second)
+    assert not any(name.startswith("base_drift") for name in known.parameter_names)
+    found = estimate(model, second, prior=Prior({}, known))
+    assert found.contradiction is None
+    assert found.values["base_drift.vx"] == pytest.approx(0.0, abs=0.3)
+    held = estimate(only(calibrated, ["base"]), second)
+    said = "base_drift: held, and so taken to happen again from the first of these rows to the last"
+    assert (
+        f"{said}; estimate it, too: --only base_drift,base"
+        in with_base_doubt(held, calibrated, ["base"], second).doubts
+    )
+    own = estimate(only(calibrated, ["base"]), first)  # there it happened
+    assert not any(one.startswith("base_drift") for one in with_base_doubt(own, calibrated, ["base"], first).doubts)
+
+
 def in_space(shift: float = 0.0, base: float = 0.0) -> tuple[Measurements, Arm]:
     """Exact measurements of a spatial arm with errors, joint 3 off by `shift` more and the base moved [mm]."""
     whole = replace(CHAIN, settled=frozenset({"base", "tool"}), tools={"1": np.array([40.0, 20.0, 30.0])})
