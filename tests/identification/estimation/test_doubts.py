@@ -71,18 +71,16 @@ def test_what_a_known_effect_does_is_no_other_frame() -> None:
 
 def test_far_rows_are_told_by_all_that_is_measured_and_by_what_each_row_scatters_by() -> None:
     """By hand: the third of five poses is 0.1 mm off as all are, and 4 mrad, 4 mm at 1 m; its own sigma is half."""
-    posed = Arm(chain_of([DHRow(300.0, 0.0, 0.0), DHRow(200.0, 0.0, 0.0)]))
-    posed = replace(posed, chain=replace(posed.chain, instrument=Tracker(1000.0)))
-    residual = np.zeros((5, 6))
+    posed = Arm(replace(chain_of([DHRow(300.0, 0.0, 0.0)]), instrument=Tracker(1000.0)))
+    residual, single = np.zeros((5, 6)), np.arange(5) == 2
     residual[:, 0], residual[2, 5] = 0.1, 4.0
-    rows = Measurements(np.arange(10.0).reshape(5, 2), residual[:, :3], orientations=np.tile(np.eye(3), (5, 1, 1)))
-    single, none = np.arange(5) == 2, np.zeros(5, dtype=bool)
-    for each, ending in (
-        (rows, "40 times as far as the others in the median: a lost beam"),
-        (replace(rows, sigma=np.where(single, 0.05, 0.1)), "80 times as far, by the sigma_mm of each row, as the "),
+    rows = Measurements(np.arange(5.0)[:, None], residual)
+    for sigma, times in (
+        (None, "40 times as far as"),
+        (0.1 - 0.05 * single, "80 times as far, by the sigma_mm of each"),
     ):
-        (said,) = far_rows(residual, each, posed, single, none)
-        assert said.startswith(f"row 3: up to 0.1 mm and 0.2292 deg off, {ending}")
+        (said,) = far_rows(residual, replace(rows, sigma=sigma), posed, single, np.zeros(5, dtype=bool))
+        assert said.startswith(f"row 3: up to 0.1 mm and 0.2292 deg off, {times}")
 
 
 def test_a_link_of_another_length_is_implausible() -> None:
