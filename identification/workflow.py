@@ -191,7 +191,7 @@ def check_files(
 ) -> Answer:
     """Are the measurements what they should be?
 
-    Look at the measurements DATA of ARM before anything is fitted in earnest; of a plan at its postures.
+    Look at the measurements DATA of ARM, or at the postures of a plan, before anything is fitted in earnest.
 
     Rows, ranges against limits, units, repeats, what the drawing leaves after fitting where the arm stands, joints that
     turn the other way, swapped columns, other zeros, mirrored frames, and what can and cannot be found from these data.
@@ -235,8 +235,8 @@ def check_files(
 def simulate_files(arm: Path, plan: Path, *, truth: Path, out: Written, force: bool = False, seed: int = 0) -> Answer:
     """Simulate the measurements of a plan.
 
-    Measure the TRUTH at the postures of a PLAN, with the arm's noise (sigma_mm). The plan may give payload_kg,
-    temperature_C and direction1.. of every row.
+    Measure the TRUTH at the postures of a PLAN, with the noise (sigma_mm) of TRUTH or, where that has none, of ARM. The
+    plan may give payload_kg, temperature_C and direction1.. of every row.
 
     truth : Arm file with [calibration] and [[effects]] values.
     out : Measurements CSV to write.
@@ -298,7 +298,7 @@ def identify_files(
     missing : Only these effects, for --library-prior: backlash,gear_ratio
     prior_from : An earlier calibration with its covariance as the prior.
     only : Estimate only these, with commas: lengths, joint_offsets, base, tool, effects, names such as joint_offset:2.
-    without_outliers : Leave rows out that nothing of the model explains, and say which.
+    without_outliers : Leave out rows that the model does not explain, and say which.
     urdf : Write the corrected URDF file of a spatial arm.
     out : Write a calibrated arm file (TOML).
     """
@@ -455,7 +455,7 @@ def diagnose_files(
 
     holdout : Measurements used for nothing but the confirmation.
     report : Write an HTML page with pictures.
-    named_only : Write what is named alone, without what is less likely and curves.
+    named_only : Write only what is named, without less likely effects and error curves.
     out : Write the arm file of the model that predicts best; --force also where it is not confirmed.
     """
     from identification.documents.diagnosis import holds_in_words, tests_of
@@ -494,7 +494,7 @@ def validate_files(model: Path, data: Path, *, refit: Literal["base", "offsets",
     """How well a calibrated model predicts other measurements.
 
     Compare the calibrated MODEL (an arm file with [calibration]) with other measurements DATA. All that was identified
-    stays as it is; the drawing, refitted in the same way, stands beside it. A session column in DATA has the base
+    stays as it is; the drawing, refitted in the same way, stands beside it. With a column session in DATA the base is
     refitted in each session.
 
     refit : What is fitted to DATA: where the base stands, that and all joint offsets, or nothing.

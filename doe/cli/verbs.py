@@ -166,7 +166,7 @@ def design_files(
     seconds : Time budget [s]; left out: none up to 100 runs, 30 for more.
     discriminating : Also make missing effects distinguishable (costs some D-efficiency).
     order : Of measurement; travel: little joint travel; left out: travel where bodies are known, up to 100 runs.
-    approach : From where each joint comes to every posture.
+    approach : Direction from which every joint comes to each posture.
     keep : Postures already measured; the plan complements them.
     candidates : CSV of allowed postures to choose from.
     repeats : A posture may be measured more than once.
@@ -315,7 +315,7 @@ def advise_files(
     Efficiency and expected accuracy against the number of runs; the smallest number for a wanted accuracy.
 
     runs : Numbers of runs, A to B.
-    target_mm : Wanted largest std of a link length; in space error of the tip [mm].
+    target_mm : Wanted accuracy [mm]: largest std of a link length, in space RMS error of the tip.
     seconds : Time budget of all numbers of runs together [s].
     """
     from doe.advise import advise, with_scatter
@@ -362,7 +362,7 @@ def relax_files(
     candidates : CSV of allowed postures instead of a grid.
     solver : column_generation (the default), or clarabel or scs, which are independent of it.
     check : Cross-check by independent methods.
-    runs : Number of measurements m, for --robust and in space, there by default as many as parameters.
+    runs : Number of measurements m: --robust needs it; in space, left out: as many as parameters.
     seconds : Time budget [s]; left out: 40.
     out : Write the plan with weights (CSV).
     """
