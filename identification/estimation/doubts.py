@@ -52,6 +52,7 @@ def doubts_of_fit(
     bad = [*(read if hidden else []), *bad, *flipped(model, x, identifiable)]
     others = [] if hidden else (read and far_zeros(model, x)) or read
     others += [*another_frame(model, measurements), *outside_limits(arm, measurements), *copied_rows(measurements)]
+    others += payload_of_several(model, measurements)
     others += only_rounding(residual, model, measurements) if residual.size > x.size else []
     return (*bad, *others), bool(bad)
 
@@ -249,6 +250,17 @@ def copied_rows(measurements: Measurements) -> list[str]:
     if rows.size == 1:
         number, no = "1 row is an exact copy", "it is no measurement of its own"
     return [f"{number} of another {first}: {no}, which identify and diagnose do not count"]
+
+
+def payload_of_several(model: Model, measurements: Measurements) -> list[str]:
+    """At which of several measured points a payload is taken to hang: which one is first may be chance."""
+    arm, (first, *others) = model.arm, model.arm.chain.tools
+    is_there = measurements.payload is not None or arm.payload > 0.0
+    acts = is_there and others and any("gravity" in effect.needs for effect in model.effects)
+    if not acts or arm.gravity is None or arm.gravity.payload_at is not None:
+        return []
+    where = f"{first}, the first that was measured, as {', '.join(others)} might be"
+    return [f"the payload is taken to hang at measured point {where}: give payload_at_mm in [gravity]"]
 
 
 # -- the covariance of the parameters, at the tip ----------------------------------------------------------------------

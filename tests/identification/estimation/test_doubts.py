@@ -12,10 +12,11 @@ import pytest
 
 from identification import Arm, DHRow, EffectSpec, Measurements, Model, Status, chain_of, estimate
 from identification.arm import Machining
-from identification.estimation.doubts import FAR, another_frame, far_rows, outside_limits
+from identification.estimation.doubts import FAR, another_frame, far_rows, outside_limits, payload_of_several
 from identification.instruments import Tracker
 from tests.identification.estimation.cases import LENGTHS, SIGMA, TRUTH, arm, data, plan, scipy_fit
 from tests.identification.inspection.test_inspection import points
+from tests.small_arm import drawn_arm
 
 
 def moved(measurements: Measurements, shift: tuple[float, float], turn: float = 0.0) -> Measurements:
@@ -81,6 +82,20 @@ def test_far_rows_are_told_by_all_that_is_measured_and_by_what_each_row_scatters
     ):
         (said,) = far_rows(residual, replace(rows, sigma=sigma), posed, single, np.zeros(5, dtype=bool))
         assert said.startswith(f"row 3: up to 0.1 mm and 0.2292 deg off, {times}")
+
+
+def test_where_a_payload_hangs_is_said_where_it_follows_from_the_order_of_the_rows() -> None:
+    loaded, rows = (
+        drawn_arm().with_effects(EffectSpec("joint_compliance", 2)),
+        Measurements(np.zeros((1, 6)), [[0.0] * 3]),
+    )
+    (said,) = payload_of_several(Model(loaded), rows)
+    assert said.startswith(
+        f"the payload is taken to hang at measured point {next(iter(loaded.chain.tools))}, the first"
+    )
+    placed = replace(loaded, gravity=replace(loaded.gravity, payload_at=np.zeros(3)))
+    for other in (placed, drawn_arm(), replace(loaded, chain=replace(CHAIN, tools={"1": np.eye(4)}))):
+        assert payload_of_several(Model(other), rows) == []
 
 
 def test_a_link_of_another_length_is_implausible() -> None:
