@@ -93,8 +93,8 @@ class Criterion(ABC):
         return -(value**2) / largest if self.power else value + s * float(np.log(largest / s))
 
     def efficiency(self, value: float, bound: float, parameters: int) -> float:
-        """Fraction 0..1 of the runs that an optimal design would need for the same accuracy."""
-        if not np.isfinite(value):
+        """Fraction 0..1 of the runs that an optimal design would need for the same accuracy; 0 of an infinite bound."""
+        if not np.isfinite([value, bound]).all():
             return 0.0
         if self.power == 0:
             return float(np.exp((value - bound) / self.degree(parameters)))

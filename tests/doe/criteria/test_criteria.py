@@ -72,6 +72,7 @@ def test_a_singular_matrix_is_worth_minus_infinity_in_a_batch_too(phi: Criterion
     assert values[0] == pytest.approx(float(phi.value(good)))
     assert values[1] == -np.inf
     assert phi.efficiency(-np.inf, float(values[0]), P) == 0.0
+    assert phi.efficiency(float(values[0]), np.inf, P) == 0.0  # of a bound that was not computed
 
 
 @each
