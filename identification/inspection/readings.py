@@ -414,8 +414,12 @@ def data_warnings(measurements: Measurements, arm: Arm) -> list[str]:
 
 
 def gap_notes(measurements: Measurements) -> list[str]:
-    """Rows of which nothing says from which side their joints came, in a sentence; none where directions are given."""
-    if measurements.gaps is None or measurements.directions is not None:
+    """Rows of which nothing says from which side their joints came, in a sentence; none where that is known."""
+    if (given := measurements.directions) is not None:
+        unknown = [f"joint {j} in {count}" for j, count in enumerate(np.isnan(given).sum(axis=0), start=1) if count]
+        why = "nothing says it, or columns of coupled joints leave it open; play in gears needs it"
+        return [f"the direction is not known of {', '.join(unknown)} of {len(given)} rows ({why})"] if unknown else []
+    if measurements.gaps is None:
         return []
     left_out = f"before {int(measurements.gaps.sum())} of {len(measurements)} rows numbers of order are left out"
     how = "keep order 1, 2, 3 .. without steps, or give columns direction1, direction2 .."
