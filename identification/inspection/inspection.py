@@ -84,8 +84,8 @@ def inspect(arm: Arm, measurements: Measurements) -> Inspection:
         except InputError:  # too few rows
             fit = None
     # without a fit nothing says what small differences of the repeats' angles do
-    every = np.ones(len(measurements), dtype=bool)
-    floor = NoiseFloor() if fit is None else noise_floor(fit.residuals_after, measurements, every, None)
+    own = measurements.originals == np.arange(len(measurements))  # copies of rows scatter by nothing
+    floor = NoiseFloor() if fit is None else noise_floor(fit.residuals_after, measurements, own, None)
     try:
         drawing = rms_distance(drawing_residuals(arm, measurements))
     except InputError:  # too few rows for least squares
@@ -277,7 +277,7 @@ def sufficiency(
             name = kind if len(sure) == len(alike) else f"{kind} ({', '.join(sure)})"
         determined += [name] if sure else []
     keys = {
-        "numbers": fit.residuals_after.size,
+        "numbers": len(np.unique(measurements.originals)) * fit.residuals_after.shape[1],
         "parameters": parameters,
         "spare_numbers": spare,
         "identifiable": tuple(determined),

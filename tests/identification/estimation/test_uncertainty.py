@@ -28,6 +28,7 @@ from identification.estimation.uncertainty import (
     uncertainty,
 )
 from identification.information import column_space
+from identification.inspection.inspection import inspect
 from identification.simulate import simulate
 from tests.identification.estimation.cases import SIGMA, TRUTH, arm, data, plan
 from tests.small_arm import OTHERS, drawn_arm, measured, random_postures, small_arm
@@ -188,14 +189,14 @@ def test_rows_that_are_copied_with_their_digits_are_counted_once() -> None:
     for sigma in (None, SIGMA):
         model = Model(arm(sigma=sigma))
         once = data(model, plan(24))
-        found, copies = (estimate(model, rows) for rows in (once, once.rows(np.tile(np.arange(24), 30))))
+        again = once.rows(np.tile(np.arange(24), 30))
+        found, copies, seen = estimate(model, once), estimate(model, again), inspect(model.arm, again).data
         np.testing.assert_allclose(copies.parameters, found.parameters, rtol=1e-9)
         np.testing.assert_allclose(copies.covariance, found.covariance, rtol=1e-6)
         assert (copies.dof, copies.uncertainty.kind) == (found.dof, found.uncertainty.kind)
-        assert left_out_rms(copies, once.rows(np.tile(np.arange(24), 30))) == pytest.approx(left_out_rms(found, once))
-        assert [said for said in copies.warnings if said not in found.warnings] == copied_rows(
-            once.rows(np.tile(np.arange(24), 30))
-        )
+        assert left_out_rms(copies, again) == pytest.approx(left_out_rms(found, once))
+        assert [said for said in copies.warnings if said not in found.warnings] == copied_rows(again)
+        assert [seen[key] for key in ("numbers", "repeats_mm", "close_repeats_mm")] == [48, None, None]
 
 
 SHORT = ((0.0, np.pi / 2.0, 300.0), (-420.0, 0.0, 0.0), (-390.0, 0.0, 60.0))  # a [mm], alpha [rad], d [mm]
