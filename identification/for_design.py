@@ -118,6 +118,12 @@ class ArmModel(Model):
         tools = {name: pose(offset) @ at for name, at in chain.tools.items()}
         return replace(self, arm=replace(self.arm, chain=replace(chain, tools=tools)))
 
+    @property
+    def other_points(self) -> Array:
+        """(k - 1, 3) [mm] from the first of k measured points to the others, in the frame of the tip."""
+        places = np.array([place[:3, 3] for place in self.arm.chain.tools.values()])
+        return np.asarray(places[1:] - places[0])
+
     # -- before a plan is made -------------------------------------------------------------------------------------
     def placed(self) -> ArmModel:
         """The same with its measured points in place, and without a sigma for a minimal set of parameters. Raises

@@ -71,12 +71,14 @@ class Clearance:
         """
         self.model, cell, tip = model, model.cell, len(model.joint_types) + 1
         self.usual = max(cell.clearance, 1.0)  # [mm] of a posture in touch no move is proven to be free
-        # what stands still comes first; a line of sight is a capsule from the base to the measured point
+        # what stands still comes first; lines of sight are capsules from the base to the measured points
         bodies = sorted(([b.name, b.joint, b.capsules, b.boxes] for b in cell.bodies), key=lambda body: body[1])
         if cell.floor is not None:
             ground = np.r_[0.0, 0.0, cell.floor - DEEP, np.eye(3).ravel(), np.full(3, DEEP)]
             bodies.insert(0, [FLOOR, 0, np.empty((0, 7)), ground[None]])
-        bodies += [[SIGHT, tip, np.r_[place, np.zeros(4)][None], np.empty((0, 15))] for place in trackers]
+        points = [np.zeros(3), *getattr(model, "other_points", ())]
+        sights = [np.array([np.r_[place, point, 0.0] for point in points]) for place in trackers]
+        bodies += [[SIGHT, tip, each, np.empty((0, 15))] for each in sights]
         names, joints, *parts = zip(*bodies, strict=True)
         # pieces are capsules, then boxes
         owner = np.concatenate([np.repeat(range(len(names)), [*map(len, each)]) for each in parts])

@@ -161,6 +161,12 @@ def outside_round(model: Offers, region: Any, q: ca.SX) -> ca.SX:
 
 
 def in_view(model: Offers, sight: Any, q: ca.SX) -> ca.SX:
+    """(k,) The tracker sees the reflectors, all of them."""
+    others = getattr(model, "other_points", ())
+    return ca.vertcat(*(_in_view(each, sight, q) for each in (model, *map(model.with_tip_moved, others))))
+
+
+def _in_view(model: Offers, sight: Any, q: ca.SX) -> ca.SX:
     """(k,) The tracker sees the reflector: inside its cone and range, not from behind, no link near the line of sight;
     links have a radius here, and the last, which carries the reflector, is not in the way. Of joints that carry bodies
     these are looked at instead (`Clearance`)."""

@@ -16,6 +16,7 @@ from doe.problem.clearance import FLOOR, SIGHT, Clearance, from_box, nearest_to_
 from doe.problem.constraints import Walls, constraints_of
 from doe.problem.postures import put_inside, random_postures
 from identification import Arm, Array, Model, design_model
+from identification.kinematics.frames import pose
 from identification.workspace import Body, Cell, LineOfSight
 from tests.doe.six_axis import SIX_AXIS
 
@@ -214,6 +215,17 @@ def test_a_plan_climbs_and_keeps_its_distances(arm: Arm) -> None:
     assert judge.too_near(climbed) == []
     assert np.all(problem.feasible(climbed))
     assert judge.too_near(PlanAscent(replace(problem, constraints=()))(start, tolerance=1e-2))
+
+
+def test_every_measured_point_is_to_be_seen(arm: Arm, postures: Array) -> None:
+    sight, found = LineOfSight(tuple(TRACKER.tolist()), 1.0, (0.0, 0.0, 400.0)), list[list[Array]]()
+    for places in ([300.0, -200.0], [300.0], [-200.0]):
+        chain = replace(arm.chain, tools={f"{y}": pose((0, y, 9)) for y in places}, settled=frozenset({"tool"}))
+        cone, bodies = constraints_of(Model(replace(arm, chain=chain, constraints=(sight,))))
+        found.append([cone.margin(postures), bodies.distance(postures)[:, [SIGHT in each for each in bodies.pairs]]])  # type: ignore[union-attr]
+    (both, nearest), (one, here), (other, there) = found
+    np.testing.assert_allclose(both, np.hstack([one, other]))
+    np.testing.assert_allclose(nearest, np.minimum(here, there))
 
 
 def test_a_cell_whose_meshes_are_not_found_bars_nothing() -> None:
