@@ -285,7 +285,7 @@ class Plan(ByValue):
 
     postures: Array
     weights: Array | None = None
-    joint_types: tuple[str, ...] = ()
+    joint_types: Sequence[str] = ()
     fit: str = ""
     via: NDArray[np.bool_] | None = None
     cells: Mapping[str, Sequence[str]] = field(default_factory=dict)
@@ -358,14 +358,15 @@ class Plan(ByValue):
             further = ("run", "weight", "payload_kg", "temperature_C", "cup", *(f"direction{j + 1}" for j in range(n)))
             table.warn_unused(further)
         cells = {name: table.frame[name].fill_null("").to_list() for name in table.frame.columns if name != "run"}
-        return cls(postures, weights, fit=table.fit, via=via, cells=cells, conditions=conditions)
+        types = () if joints is None or isinstance(joints, int) else joints
+        return cls(postures, weights, types, table.fit, via, cells, conditions)
 
     @classmethod
     def of_displayed(cls, displayed: Array, joint_types: Sequence[str]) -> Self:
         """The plan whose `displayed` postures (m, n) are these."""
         units = [UNITS[_quantity(joint_types, j)] for j in range(1, len(joint_types) + 1)]
         scaled = displayed * [next(iter(each.values())) for each in units]
-        return cls(counting_in(joint_types, len(joint_types)).joints(scaled), joint_types=tuple(joint_types))
+        return cls(counting_in(joint_types, len(joint_types)).joints(scaled), joint_types=joint_types)
 
     def to_html(self, caption: object) -> str:
         """A caption and the postures, for notebooks."""

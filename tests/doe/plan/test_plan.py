@@ -16,6 +16,7 @@ from doe import solve
 from doe.plan.moves import Room, approaches, route, shortest_path
 from doe.plan.spacing import distance_to_keep, separated, spread_free_joints, too_near, with_additions
 from identification import Arm, Array, Plan
+from identification.kinematics.counting import Counting, JointKinds
 from tests.doe.arms import FOUR, OFFSET, problem
 from tests.refusals import refused
 
@@ -25,11 +26,14 @@ def load(tmp_path: Path, text: str, links: int | None = None) -> Plan:
     return Plan.load(tmp_path / "plan.csv", links)
 
 
-def test_postures_in_the_units_that_are_displayed() -> None:
-    types, postures = ("revolute", "prismatic"), np.array([[np.pi, 250.0]])
-    plan = Plan(postures, joint_types=types)
-    np.testing.assert_array_equal(plan.displayed, [[180.0, 250.0]])
-    np.testing.assert_array_equal(Plan.of_displayed(plan.displayed, types).postures, postures)
+def test_postures_as_they_are_displayed(tmp_path: Path) -> None:
+    """In the units of files and as the controller counts, also of a plan that was read."""
+    types = JointKinds(("revolute", "prismatic"), Counting((-1, 1), (0, 0), (np.pi / 2.0, 0.0)))
+    plan, columns = Plan(np.array([[np.pi, 250.0]]), joint_types=types), [[-90.0, 250.0]]
+    (tmp_path / "plan.csv").write_text(plan.text())
+    for each in (plan, Plan.of_displayed(np.array(columns), types), Plan.load(tmp_path / "plan.csv", types)):
+        np.testing.assert_allclose(each.displayed, columns, atol=1e-12)
+        np.testing.assert_allclose(each.postures, plan.postures)
 
 
 def test_text_is_as_documented() -> None:
