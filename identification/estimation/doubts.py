@@ -11,6 +11,7 @@ from scipy.special import fdtrc
 
 from identification.arm import Arm
 from identification.arrays import Array, rows_in_words
+from identification.documents.identification import reading_unit
 from identification.estimation.problem import Problem
 from identification.estimation.uncertainty import LEVEL, WhiteRows, decomposed_groups
 from identification.information import ALONE, spectrum
@@ -106,7 +107,7 @@ def far_rows(
     residual: Array, data: Measurements, arm: Arm | None, outlier: NDArray[np.bool_], together: NDArray[np.bool_]
 ) -> list[str]:
     """Which rows nothing explains: by themselves, and those that come together (`uncertainty.together`)."""
-    scale, sizes = arm.chain.angle_scale if arm else None, {"mm": distances(residual)}
+    scale, sizes = arm.chain.angle_scale if arm else None, {reading_unit(arm): distances(residual)}
     sizes |= {"deg": np.degrees(distances(residual[:, POINT.stop :]) / scale)} if scale else {}
     # of all coordinates, and beside what each row is known to scatter by
     times = np.linalg.norm(residual, axis=1) / (1.0 if data.sigma is None else data.sigma)
@@ -307,8 +308,9 @@ def own_error(fit: Identification) -> float:
 
 def hardly_determined(fit: Identification) -> list[str]:
     """What is doubtful about a fit that leaves the tip uncertain, beyond the noise of one measurement: by over half of
-    what the arm was off before, at postures like those measured; or by more than all of it, over the joint limits."""
-    if fit.expected_tip_measured is None or fit.expected_tip is None:
+    what the arm was off before, at postures like those measured; or by more than all of it, over the joint limits. Of
+    readings that are no lengths nothing is said: both are millimetres."""
+    if fit.expected_tip_measured is None or fit.expected_tip is None or reading_unit(fit.arm) != "mm":
         return []
     tips = np.square([fit.expected_tip_measured, fit.expected_tip])
     # without the posture's own error, which no further rows help against
