@@ -113,16 +113,16 @@ class Products:
 def mixed(states: Sequence[State], shares: Array) -> tuple[Array, Array, float]:
     """Mean (P,) and covariance (P, P) of the coefficients of all columns, zero where a block is not in the set, and the
     variance of the noise, over states with these shares."""
-    size = len(states[0].products.right)
-    mean, second = np.zeros(size), np.zeros((size, size))
-    for state, share in zip(states, shares, strict=True):
-        if share < LEAST:  # of which nothing is left in a sum
-            continue
-        mean[state.columns] += share * state.mean
-        moment = state.variance * state.covariance + np.outer(state.mean, state.mean)
-        second[np.ix_(state.columns, state.columns)] += share * moment
+    means = np.zeros((len(states), len(states[0].products.right)))
+    spread = np.zeros((means.shape[1],) * 2)
+    for row, state, share in zip(means, states, shares, strict=True):
+        if share > LEAST:  # else nothing is left of it in a sum
+            row[state.columns] = state.mean
+            spread[np.ix_(state.columns, state.columns)] += share * state.variance * state.covariance
+    mean = shares @ means
+    apart = means - mean
     variance = sum(float(share) * state.variance for state, share in zip(states, shares, strict=True))
-    return mean, second - np.outer(mean, mean), variance
+    return mean, spread + (apart.T * shares) @ apart, variance
 
 
 @dataclass(frozen=True, eq=False)

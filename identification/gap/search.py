@@ -152,7 +152,7 @@ class Search:
         """The sets that matter, likeliest first, and draws of sets (one for each tenth of a set that was moved), from a
         set to start from."""
         state, steps, visits, draws = top, dict[Key, Array](), Counter[Key](), Counter[Key]()
-        recent = {top.key: top}
+        recent, odds = {top.key: top}, dict[Key, float]()
         for move in range(MOVES):
             taken, key = int(generator.integers(len(state.key) + 1)), state.key
             left = recent.get(key[:taken] + key[taken + 1 :])
@@ -171,6 +171,8 @@ class Search:
                 recent.clear()
             recent |= {left.key: left, state.key: state}
             if move % max(len(key) // 10, 1) == 0:
+                if key not in odds:
+                    odds[key] = self.log_odds(state)
                 draws[key] += 1
         # the sets from the probabilities with which each was drawn, whatever its sizes; and of those drawn with theirs
         sets, share = defaultdict[tuple[int, ...], list[tuple[float, Key]]](list), 0.0
@@ -189,7 +191,7 @@ class Search:
                 with_it = tuple(sorted((*key, (block, int(np.argmax(table[block]))))))
                 sets[tuple(sorted((*blocks, block)))].append((float(of_blocks[block]), with_it))
         # what was drawn has these odds together, and this share of the probability
-        evidence = float(logsumexp([self.log_odds(self.products.state(key)) for key in draws]) - np.log(share))
+        evidence = float(logsumexp([*odds.values()]) - np.log(share))
         listed = sorted((-sum(p for p, _ in found), max(found)[1]) for found in sets.values())
         return [(key, float(np.log(-less)) + evidence) for less, key in listed if -less > LEAST], draws
 
