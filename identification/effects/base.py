@@ -66,6 +66,10 @@ class Scope:
         spread = inner[np.unique(np.linspace(0, len(inner) - 1, count).round().astype(int))]
         return [*spread, *((np.unique(sessions)[1:] - 0.5) * SESSION)]
 
+    def step_times_within(self) -> list[float]:
+        """Those within sessions: between them each has a base of its own."""
+        return [at for at in self.step_times() if abs(at - SESSION * round(at / SESSION)) <= 0.5]
+
 
 @dataclass(frozen=True)
 class Setting:

@@ -8,6 +8,7 @@ distinguish from the base parameters are listed, never named (`alias`).
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -213,7 +214,7 @@ of_step(
     "base or tracker jumps at a time: + (x, y), in space + (x, y, z), on one side of a time",
     lambda self: each(self.chain.axes, "mm", 0.1),  # typical: as of `link_step`
     # side 1: for t > at, -1: for t < at; where the model has no `base_offset` that is not the same
-    settings={"at": STEP, "side": Setting(-1, 1, (-1.0, 1.0), whole=True)},
+    settings={"at": replace(STEP, values=Scope.step_times_within), "side": Setting(-1, 1, (-1.0, 1.0), whole=True)},
     base_translation=lambda self, chain, values: values * _beside(self, chain),
 )
 of_load(

@@ -233,7 +233,9 @@ def test_steps_are_tried_between_rows_and_between_sessions() -> None:
     one = Scope(SCOPE.arm, 1, np.zeros((9, 2)), Conditions(time=time)).step_times()
     np.testing.assert_allclose(one, time[1:-2] + 0.0625)  # between rows, but for the first and the last
     two = Conditions(time=np.tile(time, 2), session=np.repeat([0.0, 1.0], 9))
-    both = Scope(SCOPE.arm, 1, np.zeros((18, 2)), two).step_times()
+    scope = Scope(SCOPE.arm, 1, np.zeros((18, 2)), two)
+    both = scope.step_times()
     assert both[-1] == pytest.approx(0.55)
+    assert {*both} - {*scope.step_times_within()} == {at for at in both if 0.5 < at < 0.6}  # the base's own are none
     assert max(both) == pytest.approx(1.1 + 0.5 - 0.1875)
     assert clock(0.5, 0) < 0.55 < clock(-0.5, 1)
