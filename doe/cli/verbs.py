@@ -502,7 +502,8 @@ def program_files(
     data = {"robot": robot, "name": made.name, "runs": runs, "vias": vias, "seconds": made.seconds, "moves": made.moves}
     data["not_free"] = made.not_free
     counted = f"{runs} run{'s' * (runs != 1)} and {vias} way-point{'s' * (vias != 1)}"
-    sentence = f"{counted}, about {made.seconds / 60.0:.1f} min without measuring; try it slowly first"
+    first = "nobody looked at the move to the first row: try it slowly"
+    sentence = f"{counted}, about {made.seconds / 60.0:.1f} min without measuring; {first}"
     headings = ["", *(f"q{j} [{unit}]" for j, unit in enumerate(made.units, start=1)), "after [s]"]
     rows = [[m["kind"], *(f"{q:.3f}" for q in m["joints"]), f"{m['seconds']:.0f}"] for m in made.moves]
     doubts = in_sentences(made.not_free)
