@@ -368,7 +368,7 @@ def relax_files(
     """
     from doe.bounds.column_generation import LARGEST, relax
     from doe.plan.accuracy import with_choices
-    from doe.report.design import relax_document
+    from doe.report.design import columns_beside, relax_document
     from doe.solvers.solving import cross_check
     from identification import Plan, load_arm
 
@@ -405,7 +405,7 @@ def relax_files(
         exact = new or max(2 * loaded.links, problem.fewest_runs)  # what a prior is worth depends on the runs
         compared = cross_check(checked, relaxation, exact, seed=seed, seconds=end - perf_counter())
         data["cross_check"] = compared
-    text = replace(relaxation.plan, fit=problem.fit).text(loaded.joint_types)
+    text = replace(relaxation.plan, fit=problem.fit).text(loaded.joint_types, columns_beside(relaxation))
     answer = Answer(data, relax_document(relaxation, compared, new), files={out: ("plan with weights", text)})
     return with_collisions(answer, problem, relaxation.plan.postures)
 

@@ -49,7 +49,7 @@ def design_document(design: Design) -> Document:
     return Document("Plan", [design_verdict(design)], parts)
 
 
-def columns_beside(design: Design) -> dict[str, Sequence[str]]:
+def columns_beside(design: Design | ApproximateDesign) -> dict[str, Sequence[str]]:
     """What the model says of the postures of a plan besides, name -> (m,): the cup that each touches, say."""
     model: Any = design.problem.model
     return dict(model.plan_columns(design.plan.postures)) if offers(model, "plan_columns") else {}

@@ -126,6 +126,8 @@ def test_the_loop_of_a_socket(folder: Folder) -> None:
     cups = [line.split(",")[-1] for line in rows]
     assert [line.split(",")[-1] for line in planned] == ["cup", *cups]  # the cup of each
     assert (header.split(",")[-1], {*cups} <= {*"ABCD"}, "mm" in header) == ("cup", True, False)
+    folder.said("relax arm.toml --runs 40 --no-check --out weights.csv")
+    assert ",cup,weight" in folder.read("weights.csv").splitlines()[0]
     checked = folder.said("check blank.toml seatsd.csv")
     assert (sorted(checked["markers"]), "cup" in checked["given"]) == ([*"ABCD"], True)
     assert not {"marker", "session"} & {*checked["given"]}  # columns of the file, by their names
