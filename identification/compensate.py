@@ -129,7 +129,8 @@ def compensate(
         # that of the target before which is driven to, which others are not
         directions, past = np.ones_like(commands), np.repeat(commands[:, :, None], REMEMBERED, axis=2)
         directions[driven] = directions_from_order(commands[driven])
-        past[driven] = past_from_order(commands[driven])
+        from_afar = commands[driven][:1] - (arm.upper - arm.lower)  # what the first is come from, rising
+        past[driven] = past_from_order(np.concatenate([from_afar, commands[driven]]))[1:]
         where = replace(where, directions=directions, past=past)
         rising, falling = (commands + servo_shift(arm, side * np.ones_like(commands)) for side in (1.0, -1.0))
         apart = model.position(rising, conditions=where) - model.position(falling, conditions=where)
@@ -264,7 +265,9 @@ class Compensation(Documented):
             falling = ", ".join(str(j) for j, sign in enumerate(moves, start=1) if sign < 0.0)
             rising = f"rising, but {falling} falling" if falling else "rising"
             side = f"{', '.join(self.sided)}: the error depends on the side that a joint comes from"
-            notes.append(f"{side}. Drive the targets in this order, and to the first with every joint {rising}")
+            notes.append(
+                f"{side}. Drive the targets in this order, and to the first from afar with every joint {rising}"
+            )
         return notes
 
     def to_json(self) -> dict[str, Any]:

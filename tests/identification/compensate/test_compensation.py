@@ -257,6 +257,9 @@ def test_the_side_of_the_approach_is_said() -> None:
     np.testing.assert_allclose(tip(found.commands + offsets + play, lengths), found.targets, rtol=0, atol=TOLERANCE)
     missed = np.linalg.norm(tip(found.commands + offsets - play, lengths) - found.targets, axis=1)
     assert np.all(missed > 1.0)  # 2 x 2e-3 rad on some 390 mm
+    wound = arm(EffectSpec("joint_hysteresis", 2, {"width_deg": 40.0}), values={"joint_hysteresis:2.b": 2e-3})
+    by_friction = compensate(wound, postures=nominal)  # wound up by the first, which is come to from afar
+    np.testing.assert_allclose(tip(by_friction.commands + offsets + play, lengths), found.targets, rtol=0, atol=1e-6)
     # nobody drives to what is out of reach: where it would have joint 2 does not matter to the next
     between = compensate(played, np.insert(found.targets, 1, [0.0, 5000.0], axis=0), np.insert(nominal, 1, 1.0, axis=0))
     assert between.reached.tolist() == [True, False, True]
