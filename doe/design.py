@@ -149,9 +149,6 @@ class Design:
     def to_json(self) -> dict[str, Any]:
         """Keys of `design` and `score` (identification/files/README.md, "JSON keys"); None where unknown."""
         unknown = dict.fromkeys(("length_mm", "orientation_deg", "joint_offset_deg"))
-        postures: dict[str, Any] = {"postures_deg": self.plan.displayed.tolist()}
-        if "mm" in self.plan.units:
-            postures = {"postures": self.plan.displayed.tolist(), "joint_units": list(self.plan.units)}
         return {
             "criterion": self.problem.criterion.name,
             "runs": len(self.plan),
@@ -165,7 +162,7 @@ class Design:
             "optimality": self.optimality,
             "not_identifiable": list(self.not_identifiable),
             "outside_limits": list(self.outside),
-            **postures,
+            **self.plan.to_json(),
             "fit": self.plan.fit or None,
             "table_1_max_residual": _number(self.table_1_max_residual),
             "std": unknown if self.deviations is None else self.deviations.to_json(),

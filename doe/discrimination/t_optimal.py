@@ -56,7 +56,7 @@ class NextPostures:
     def to_json(self) -> dict[str, Any]:
         """Keys of `armcal discriminate` beside those of the diagnosis."""
         return {
-            "postures_deg": self.plan.displayed,
+            **self.plan.to_json(),
             "payload_kg": self.plan.conditions.get("payload"),
             "directions": self.directions,
             "chance": self.chance,

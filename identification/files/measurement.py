@@ -334,6 +334,11 @@ class Plan(ByValue):
         """(m, n) postures in `units`, as the controller counts."""
         return readonly(np.column_stack([*self.columns.values()]))
 
+    def to_json(self) -> dict[str, Any]:
+        """Keys `postures_deg`, or of an arm that slides `postures` and `joint_units`."""
+        shown = self.displayed.tolist()
+        return {"postures": shown, "joint_units": list(self.units)} if "mm" in self.units else {"postures_deg": shown}
+
     @classmethod
     def load(cls, path: PathLike, joints: JointTypes = None, *, carried_out: bool = False, vias: bool = False) -> Self:
         """The CSV file `run,q1_deg,...,qn_deg[,kind][,weight]`, `# fit: ...` above, with conditions of the rows.

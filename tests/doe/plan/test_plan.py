@@ -34,6 +34,7 @@ def test_postures_as_they_are_displayed(tmp_path: Path) -> None:
     for each in (plan, Plan.of_displayed(np.array(columns), types), Plan.load(tmp_path / "plan.csv", types)):
         np.testing.assert_allclose(each.displayed, columns, atol=1e-12)
         np.testing.assert_allclose(each.postures, plan.postures)
+        assert {**each.to_json(), "postures": []} == {"postures": [], "joint_units": ["deg", "mm"]}
 
 
 def test_text_is_as_documented() -> None:
