@@ -202,6 +202,9 @@ def score(problem: DesignProblem, plan: Plan | ArrayLike, bound: Bound | None = 
         raise InputError(f"plan: shape {judged.postures.shape}, allowed: (m, {problem.joints})")
     if len(wrong := np.flatnonzero(~np.isfinite(judged.postures).all(axis=1))):
         raise InputError(f"plan: run {wrong[0] + 1} is not finite, allowed: finite joint angles")
+    shares = judged.shares
+    if shares.shape != (len(judged),) or not np.all(shares >= 0.0) or not np.isclose(shares.sum(), 1.0):
+        raise InputError(f"plan: {shares.size} weights of sum {shares.sum():g}, allowed: {len(judged)} >= 0 of sum 1")
     return Design(problem, judged, bound)
 
 

@@ -17,7 +17,7 @@ from doe.criteria import A, Criterion, Ds, DStar, E, I
 from doe.plan.accuracy import with_choices
 from doe.solvers import Offer, Random, solve
 from doe.solvers.solving import AGREEMENT, SOLVERS, available_solvers
-from identification import Arm, DHRow, EffectSpec, InputError, JobError, Progress, Status, chain_of
+from identification import Arm, DHRow, EffectSpec, InputError, JobError, Plan, Progress, Status, chain_of
 from tests.doe.arms import FIVE, FOUR, OFFSET, SIX, problem
 from tests.doe.bounds.test_planar_theorem import complex_log_det, factorial
 
@@ -52,6 +52,7 @@ def test_bad_input() -> None:
         (np.ones((8, 3)), r"shape \(8, 3\), allowed: \(m, 4\)"),
         ([[1.0, 2.0], [3.0]], "allowed: an array"),
         ("plan.csv", "'plan.csv', allowed: an array"),
+        *((Plan(np.ones((4, 4)), np.array(w)), f"{len(w)} weights of") for w in ([0.2] * 4, [0.5] * 2, [2, -1, 0, 0])),
     ],
 )
 def test_what_is_no_plan_is_not_scored(plan: Any, expected: str) -> None:
