@@ -335,6 +335,7 @@ def test_measured_positions_are_reached(near: bool) -> None:
     assert found.to_json()["tolerance_mm"] == found.tolerance
     (said,) = (warning for warning in found.warnings if "missed by" in warning)
     assert said.startswith(f"30 of the targets reached are missed by {found.errors.max():.2g} mm at most")
+    assert f"within the {found.tolerance:.2g} mm that 999 of 1,000 measured positions are off by" in said
     several = replace(arm, chain=replace(arm.chain, tools={"1": REFLECTOR, "B": np.zeros(3)}))
     assert "targets are where measured point 1 goes, not B" in compensate(several, positions, q).warnings
 
