@@ -287,7 +287,7 @@ def missing_parts(data: Data) -> list[Part]:
             limits = (estimate_text(row[key], row["std"], row["unit"]) for key in ("value", "low_95", "high_95"))
             rows.append([f"{labels.get(owner, owner)}.{short}", *limits, unit_or_dash(row["unit"])])
         title = f"Estimates: {' + '.join(c['effects'])}" if several else "Estimates"
-        estimates.append(Sheet(("parameter", "value", "low 95 %", "high 95 %", "unit"), rows, title))
+        estimates.append(Sheet(("parameter", "value", "low 95 %", "high 95 %", "unit"), rows, title, 40))
     # the probabilities in one line, with those of other sets, and whether the rows are too few for a test
     few = data["effects"] and tests and all(test["confirmed"] is None for test in tests)
     among = " (too few rows to confirm it on others)" if few else ""

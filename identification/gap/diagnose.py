@@ -9,6 +9,7 @@ import numpy as np
 
 from identification.arm import Arm
 from identification.arrays import readonly, rows_in_words
+from identification.document import count_of
 from identification.documents.diagnosis import untested
 from identification.errors import InputError
 from identification.estimation.doubts import (
@@ -233,14 +234,17 @@ def notes(
 
     best : fit of the likeliest set;  alone : whether the geometry alone predicts better
     """
-    for effect in result.effects:
-        waves = [(like, share) for key, like, share in result.aliases if key == effect and "[" in like]
-        if waves:
-            # the odds stay below 20 up to lambda = 173
-            word = "cannot be distinguished from" if waves[0][1] > 0.9999 else "is hard to distinguish from"
-            rest = f" and {len(waves) - 3} more" if len(waves) > 3 else ""
-            likes = f"{', '.join(like for like, _ in waves[:3])}{rest}"
-            yield f"at these postures {effect} {word} {likes}; to decide, measure at other joint angles"
+    pairs = [(effect, like, share) for effect, like, share in result.aliases if "[" in like]
+    scanned, most = [effect for effect in result.effects if effect in {pair[0] for pair in pairs}], 3
+    for effect in scanned[:most]:
+        waves = [(like, share) for key, like, share in pairs if key == effect]
+        # the odds stay below 20 up to lambda = 173
+        word = "cannot be distinguished from" if waves[0][1] > 0.9999 else "is hard to distinguish from"
+        rest = f" and {len(waves) - most} more" if len(waves) > most else ""
+        likes = f"{', '.join(like for like, _ in waves[:most])}{rest}"
+        yield f"at these postures {effect} {word} {likes}; to decide, measure at other joint angles"
+    if len(scanned) > most:
+        yield f"the same holds of {count_of(len(scanned) - most, 'more effect')}: --json lists them as aliases"
     if result.curves:
         spans = [np.degrees([curve.angles[0], curve.angles[-1]]) for curve in result.curves]
         ranges = [f"joint {c.joint} {a:.0f} to {b:.0f} deg" for c, (a, b) in zip(result.curves, spans, strict=True)]
