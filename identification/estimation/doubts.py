@@ -317,8 +317,8 @@ def hardly_determined(fit: Identification) -> list[str]:
     inside, anywhere = np.sqrt((tips - own_error(fit) ** 2).clip(min=0.0)).tolist()
     arm, equations, places = fit.model.arm, fit.residuals_before.size, placing(fit.model.parameters)
     spare = equations - len(places)
-    off = fit.rms_before if len(places) < len(fit.names) else fit.rms_after  # its place says nothing of the arm
-    before = off * float(np.sqrt(equations / spare)) if spare > 0 else 0.0
+    more = len(places) < len(fit.names) - len(fit.held)  # than its place, which says nothing of the arm
+    before = (fit.rms_before if more else fit.rms_after) * float(np.sqrt(equations / spare)) if spare > 0 else 0.0
     noise = max(fit.scatter or 0.0, fit.sigma or 0.0) * float(np.sqrt(arm.dimension))
     few, far_off = inside > max(0.5 * before, noise), anywhere > max(before, noise)
     if not (few or far_off):
@@ -327,7 +327,7 @@ def hardly_determined(fit: Identification) -> list[str]:
     readings, remedy_of_size = arm.chain.size_is_open
     open_size = f"; but however many, {readings} fit an arm of any size: {remedy_of_size}" if readings else ""
     far = f"{fit.rms_before:{'.3g' if fit.rms_before < 1000.0 else '.0f'}} mm"
-    was = f"; before the fit the arm was {far} off where it was measured" if spare > 0 else ""
+    was = f"; before the fit the arm was {far} off where it was measured" if spare > 0 and more else ""
     tools = [k for k, p in enumerate(fit.model.parameters) if p.kind == TOOL]
     # a point that is less sure than machining leaves it, along every axis, moves together with the base
     apart = bool(tools) and float(np.min(fit.std[tools])) > arm.machining.translation
