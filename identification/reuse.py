@@ -66,7 +66,7 @@ def only(arm: Arm, words: Sequence[str], measurements: Measurements | None = Non
             kinds = {p.kind for p in model.parameters} | {BASE}
             allowed = [each for each, kinds_of_word in KINDS.items() if kinds & set(kinds_of_word)]
             near = nearest(word, [*allowed, *effects, *model.names])
-            raise InputError(f"only: {word!r} is no parameter of the model, {near}")
+            raise InputError(f"only: {word!r} is not a parameter of the model, {near}")
         chosen |= named & available
     chosen |= {name for name in model.names if name.startswith(f"{SESSIONS}.")}
     held = {name: value for name, value in model.best_known.items() if name not in chosen}
@@ -144,7 +144,7 @@ def earlier(calibrated: Arm, model: Model, measurements: Measurements) -> Calibr
         raise InputError("prior: a calibration of another drawing, allowed: of the same lengths and frames")
     of_its_model, of_this = ({e.label for e in m.effects} for m in (Model(without_prior_effects(calibrated)), model))
     if lacking := sorted(of_its_model - {*of_this, "base_offset"}):
-        beside = f"it holds beside {', '.join(lacking)}, which the model has not; give the file as ARM, too"
+        beside = f"it holds beside {', '.join(lacking)}, which the model does not have; give the file as ARM, too"
         warnings.warn(f"prior: {beside}", UserWarning, stacklevel=2)
     shared, of_its = 0.0, 0.0  # of these rows that are among its own, and of its own
     if isinstance(text := calibration.provenance.get(ROW_DIGESTS), str):

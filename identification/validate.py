@@ -135,7 +135,7 @@ class Validation(Documented):
         if refit != "none":  # measured points that the calibration does not have are fitted
             if not names and len(tools) > 1:
                 several = "where they are of several, name them in the column marker"
-                alone = "the rows are taken as of one reflector, whose position was fitted to them"
+                alone = "the rows are taken to be of one reflector, whose position was fitted to them"
                 yield f"no column marker: {alone}; {several}"
             elif fresh and not len(tools) == 1 == len(names):
                 its = "its position was" if len(fresh) == 1 else "their positions were"

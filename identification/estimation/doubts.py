@@ -246,11 +246,9 @@ def copied_rows(measurements: Measurements) -> list[str]:
     rows = np.flatnonzero(measurements.originals != np.arange(len(measurements)))
     if not rows.size:
         return []
-    first = f"(of {len(measurements)} rows): the first row {rows[0] + 1} of row {measurements.originals[rows[0]] + 1}"
-    number, no = f"{rows.size} rows are exact copies", "they are no measurements of their own"
-    if rows.size == 1:
-        number, no = "1 row is an exact copy", "it is no measurement of its own"
-    return [f"{number} of another {first}: {no}, which identify and diagnose do not count"]
+    copies = "is an exact copy of another (" if rows.size == 1 else "are exact copies of others (the first: "
+    first = f"row {rows[0] + 1} of row {measurements.originals[rows[0]] + 1}"
+    return [f"{rows.size} of {len(measurements)} rows {copies}{first}); identify and diagnose count no row twice"]
 
 
 def payload_of_several(model: Model, measurements: Measurements) -> list[str]:

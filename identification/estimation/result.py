@@ -413,7 +413,7 @@ def corrected_values(
     for row in chain.instrument.own_values(values) if was_fitted else ():
         rows.append(of.row(row.name, row.parameter, None, row.value, row.slopes, row.unit, row.convention))
     for effect in (e for e in model.effects if not e.unlisted):  # their names with the settings
-        meaning = "no value of a controller: armcal compensate takes it off the commands"
+        meaning = "not a value that a controller takes: armcal compensate corrects the commands for it"
         meaning = STANDS if effect.name == "base_offset" else meaning
         for p in effect.parameters:
             value, bounds = values.get(p.name, 0.0) * p.to_file, (p.lower * p.to_file, p.upper * p.to_file)

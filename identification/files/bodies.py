@@ -81,7 +81,7 @@ def read_mesh(path: PathLike) -> Array:
     if not len(triangles):
         raise InputError(f"{path}: a mesh without triangles, {allowed}")
     if not np.all(np.isfinite(triangles)):
-        raise InputError(f"{path}: a mesh with corners that are no finite numbers, {allowed}")
+        raise InputError(f"{path}: a mesh with corners that are not finite numbers, {allowed}")
     return triangles
 
 

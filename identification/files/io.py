@@ -35,7 +35,7 @@ def read_bytes(path: PathLike) -> bytes:
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}), allowed: a readable file") from None
     except ValueError:  # a null character
-        raise InputError(f"{path}: is no name of a file, allowed: the name of an existing file") from None
+        raise InputError(f"{path}: is not a file name, allowed: the name of an existing file") from None
     if not content.strip():
         raise InputError(f"{path}: the file is empty, allowed: a file with content")
     return content

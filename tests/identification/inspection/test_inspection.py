@@ -77,7 +77,7 @@ def test_each_fault_has_its_sentence() -> None:
         (
             ARM,
             good.rows([*range(40), 5]),
-            "1 row is an exact copy of another (of 41 rows): the first row 41 of row 6",
+            "1 of 41 rows is an exact copy of another (row 41 of row 6); ",
             "",
         ),
         (replace(ARM, chain=np.array([500.0, 100.0, 200.0])), good, "the drawing is", ""),

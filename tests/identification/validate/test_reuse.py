@@ -158,7 +158,7 @@ def test_the_tracker_moved() -> None:
 
 
 def test_words_that_name_nothing() -> None:
-    with pytest.raises(InputError, match=r"only: 'lenghts' is no parameter of the model, did you mean 'lengths'"):
+    with pytest.raises(InputError, match=r"only: 'lenghts' is not a parameter of the model, did you mean 'lengths'"):
         only(ARM, ["lenghts"])
     with pytest.raises(InputError, match="only: base is to be held, but the arm file does not say where it is"):
         only(Arm(CHAIN), ["joint_offsets", "tool"])
@@ -173,7 +173,7 @@ def test_priors_that_do_not_fit() -> None:
         earlier(other, Model(ARM), session(1, 5, (0.0, 0.0))[0])
     played = Model(ARM.with_effects(*ARM.effects, EffectSpec("gear_ratio", 2)))
     calibrated = estimate(played, session(1, 12, (0.0, 0.0))[0], sigma="given").calibrated_arm()
-    with pytest.warns(UserWarning, match="prior: it holds beside gear_ratio:2, which the model has not"):
+    with pytest.warns(UserWarning, match="prior: it holds beside gear_ratio:2, which the model does not have"):
         earlier(calibrated, Model(ARM), session(2, 5, (0.0, 0.0))[0])
 
 

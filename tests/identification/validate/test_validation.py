@@ -419,7 +419,7 @@ def test_validation_finds_points_that_the_calibration_does_not_have() -> None:
     unnamed = replace(only_a, marker=None, marker_names=())
     for rows, said in (
         (renamed, "the calibration has no reflector new A, new B: their positions were fitted to these rows"),
-        (unnamed, "no column marker: the rows are taken as of one reflector, whose position was fitted to them"),
+        (unnamed, "no column marker: the rows are taken to be of one reflector, whose position was fitted to them"),
     ):
         validated = validate(arm, rows)
         # as in the data of the fit, and what its 30 parameters from 180 equations add
