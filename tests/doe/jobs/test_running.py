@@ -6,7 +6,6 @@ Tables: nothing finished is lost, nothing is overwritten unasked, floats survive
 from __future__ import annotations
 
 import logging
-import math
 import multiprocessing
 import os
 import signal
@@ -21,14 +20,13 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
 
-import numpy as np
 import polars as pl
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from doe import jobs
-from doe.jobs import Workers, call, canonical, cluster, frame_of, parquet, run_tasks
+from doe.jobs import Workers, call, canonical, cluster, parquet, run_tasks
 from identification import InputError, JobError
 
 sys.path.insert(0, str(Path(__file__).parent))  # workers find the tasks by name
@@ -296,19 +294,6 @@ def test_a_table_without_a_finished_task_leaves_nothing(tmp_path: Path) -> None:
 @given(st.dictionaries(st.text(), st.integers() | st.text() | st.booleans() | st.none()))
 def test_canonical_ignores_the_order(key: dict[str, object]) -> None:
     assert canonical(key) == canonical(dict(reversed(key.items())))
-
-
-def test_columns_are_the_union_of_the_rows() -> None:
-    frame = frame_of([{"a": 1, "b": "x"}, {"a": 2.5, "c": [1.0, 2.0]}, {"a": math.inf, "error": None}])
-    assert frame["a"].to_list() == [1.0, 2.5, math.inf]
-    assert frame["b"].to_list() == ["x", None, None]
-    assert frame["c"].to_list() == [None, [1.0, 2.0], None]
-
-
-def test_floats_survive(tmp_path: Path) -> None:
-    values = (np.random.default_rng(1).standard_normal(200) * 10.0 ** np.arange(-100, 100)).tolist()
-    (tmp_path / "rows").write_bytes(parquet(frame_of([{"value": value} for value in values])))
-    assert pl.read_parquet(tmp_path / "rows")["value"].to_list() == values
 
 
 @given(done=st.sets(st.integers(0, 11)), again=st.sets(st.integers(0, 11)))
