@@ -315,7 +315,7 @@ def test_triangles_are_read(tmp_path: Path) -> None:
         ("part.stl", b"\1" + binary(FACES)[1:-1], "a damaged mesh, allowed: a whole STL file"),
         ("part.stl", b"\1\2", "a damaged mesh"),
         ("part.stl", text(FACES).replace(b"1.5", b"1,5"), "a damaged mesh"),
-        ("part.stl", text(FACES).replace(b"1.5", b"nan"), "no finite numbers"),
+        ("part.stl", text(FACES).replace(b"1.5", b"nan"), "not finite numbers"),
         ("part.stl", text(FACES).replace(b"  vertex 0", b"  0", 1), "a damaged mesh"),
         ("part.obj", b"v 0 0 0\n", "a mesh without triangles"),
         ("part.obj", POINTS + b"f 1 2 5\n", "a damaged mesh, allowed: a whole OBJ file"),
