@@ -87,7 +87,8 @@ def write_together(contents: Mapping[AnyPath, Content], force: bool = False) -> 
             buffer, ending = io.BytesIO(), Path(path).suffix.lower().removeprefix(".")
             (content() if callable(content) else content).savefig(buffer, format=ending, dpi=150)
             content = buffer.getvalue()
-        targets[target] = content.encode() if isinstance(content, str) else content
+        # names of files are in texts, and need not be of any encoding
+        targets[target] = content.encode(errors="replace") if isinstance(content, str) else content
     staged = {target: target.with_name(f".{secrets.token_hex(8)}.tmp") for target in targets}
     try:
         for target, new in staged.items():
