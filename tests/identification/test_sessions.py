@@ -117,6 +117,7 @@ ROWS = [(0.0, QUARTER, 350.0), (-400.0, 0.0, 0.0), (-350.0, QUARTER, 0.0), (0.0,
 CHAIN = chain_of([DHRow(*row) for row in ROWS])
 STANDS = [(0.0, 0.0, 0.3), (0.2, -0.1, 2.4), (-0.3, 0.1, -1.9)]  # rotation vectors
 PLACES = np.array([[900.0, -200.0, 50.0], [-1500.0, 400.0, 300.0], [100.0, 1200.0, -80.0]])
+SCARA = chain_of([DHRow(*row) for row in ((300, 0, 200), (250, 0, 0), (0, 0, 0, 0, "prismatic", (0, 200)))])
 REFLECTORS = {"top": np.array([60.0, 20.0, 50.0]), "side": np.array([-70.0, 10.0, 40.0])}
 SLIPS = {"joint_offset:2": 0.004, "translation_x:3": 0.6, "rotation_x:4": -0.003, "translation_y:5": -0.4}
 
@@ -167,6 +168,16 @@ def test_sessions_of_a_spatial_arm() -> None:
     with pytest.warns(UserWarning, match="left out: orientations"):
         mixed = pooled_sessions({"a": parts["a"], "b": points})
     assert mixed.dimension == 3
+
+
+def test_the_drawing_has_no_choice_of_parameters() -> None:
+    """Of an arm whose base is given: that of joint 1 is none of the drawing, which may stand anywhere."""
+    arm = Arm(replace(SCARA, settled=frozenset({"base", "tool"})), sigma=0.1)
+    q = np.random.default_rng(3).uniform(arm.lower, arm.upper, (12, 3))
+    data = Measurements(q, Model(arm).position(q))
+    chosen = minimal(Model(arm)).arm
+    assert "translation_z:1" in chosen.chain.fixed
+    np.testing.assert_allclose(drawing_residuals(chosen, data), 0.0, atol=1e-6)
 
 
 # -- replications ------------------------------------------------------------------------------------------------------
