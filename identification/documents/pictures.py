@@ -18,7 +18,7 @@ from identification.arm import Arm
 from identification.arrays import Array
 from identification.documents.identification import reading_unit
 from identification.estimation.uncertainty import quantile_95
-from identification.kinematics.parameters import FILE_UNITS, JOINT_UNITS
+from identification.kinematics.parameters import FILE_UNITS, JOINT_UNITS, REVOLUTE
 from identification.measurements import POINT, Conditions, distances, rms_distance
 from identification.model import Model
 
@@ -62,7 +62,8 @@ def signed_figures(arm: Arm, postures: Array, pairs: Pairs, conditions: Conditio
         # the one in a hundred that is farthest does not set the scale
         scale = 1.25 * max(float(np.percentile(np.abs(each), 99.0)) for each in values) or 1.0
         axes.set(xlabel=f"joint {j + 1} [{unit}]", ylabel=f"error [{unit}]", ylim=(-scale, scale))
-        if np.linalg.norm(levers[:, :, j], axis=1).max() < 0.02 * arm.reach:  # its dots say little
+        usual = arm.reach if kind == REVOLUTE else 1.0  # [mm/rad, 1]
+        if np.linalg.norm(levers[:, :, j], axis=1).max() < 0.02 * usual:  # its dots say little
             axes.set_title("hardly moves the measured point", fontsize=9)
         if j == 0:
             axes.legend(frameon=False, fontsize=8, ncols=2, handletextpad=0.3, columnspacing=1.0)

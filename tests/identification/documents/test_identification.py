@@ -9,7 +9,7 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from identification import Arm
+from identification import Arm, DHRow, chain_of
 from identification.compensate import Compensation
 from identification.document import Sheet
 from identification.documents.identification import (
@@ -157,6 +157,9 @@ def test_a_picture_of_each_joint_has_what_both_models_leave() -> None:
     )
     np.testing.assert_allclose(red, np.degrees(np.column_stack([q[:, 1], wave])), atol=1e-9)
     np.testing.assert_allclose(blue[:, 1], 0.0, atol=1e-12)
+    slides = Arm(chain_of([DHRow(0.0, 0.0, 0.0, 0.0, "prismatic", (-1e3, 1e3)), DHRow(200.0, 0.0, 0.0)]))
+    _, *figures = signed_figures(slides, q, 2 * [(np.zeros((40, 3)), "a model")], None)
+    assert [figure.axes[0].get_title() for figure in figures if isinstance(figure, Figure)] == ["", ""]
 
 
 def test_no_label_leaves_a_small_picture() -> None:
