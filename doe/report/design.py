@@ -119,7 +119,7 @@ def remarks(design: Design) -> list[str]:
     lines, runs, apart = list[str](), len(design.plan), design.problem.spacing
     alike = ", under one payload, temperature, time and approach" * bool(getattr(design.problem.model, "needs", ()))
     if kept := len(design.problem.kept):
-        lines.append(f"every figure is of these runs and the {kept} measured already (--keep) together{alike}")
+        lines.append(f"every figure is of these runs and the {kept} measured already (--keep) in one session{alike}")
     if not np.isfinite(design.log_det):
         still, combinations = design.problem.without_effect, design.not_identifiable
         why = f"not estimable from the plan: {', '.join(combinations[:4])}{', ...' * (len(combinations) > 4)}{alike}"
