@@ -62,7 +62,7 @@ class Urdf:
     # -- chains ----------------------------------------------------------------------------------------------------
     def joints(self, base: str, tip: str) -> list[UrdfJoint]:
         """Those from a base link to a tip link. Raises `InputError` where there is no such way."""
-        for link in (base, tip):
+        for link in (base, tip, *(end for joint in self.by_child.values() for end in (joint.parent, joint.child))):
             if link not in self.links:
                 raise InputError.unknown(f"{self.path}: there is no link", link, self.links)
         joints, link = list[UrdfJoint](), tip

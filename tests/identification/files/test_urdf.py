@@ -91,6 +91,7 @@ def test_blank_lines_and_comments_stay(tmp_path: Path) -> None:
         ('<parent link="wrist"/>', '<parent link="tool0"/>', r"link 'tool0' is not below 'world', allowed: a tip"),
         (URDF.read_text(), '<robot name="x"/>', r"bad.urdf: there is no <link>, allowed: at least 1"),
         ('name="tool0"', 'name="tool"', r"there is no link 'tool0', did you mean 'tool'"),
+        ('<link name="hand"', '<link name="arm"', r"there is no link 'hand', allowed: arm, base_link"),
     ],
 )
 def test_bad_files_are_one_line(tmp_path: Path, old: str, new: str, found: str) -> None:
