@@ -290,7 +290,7 @@ class Diagnosis(Documented):
 
     @property
     def excluded(self) -> Mapping[str, Size]:
-        """Effect -> smallest size that these data would have shown with 90 % power."""
+        """Effect -> smallest size that a test of these data would have shown with 90 % power."""
         return self.detectability.detectable
 
     @property
