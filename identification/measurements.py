@@ -126,17 +126,23 @@ def condition_columns(n: int, further: Collection[str] = ()) -> dict[str, slice]
 
 
 def directions_from_order(postures: Array, gaps: Array | None = None) -> Array:
-    """(m, n) sign of the change from the posture before; first row +1, no change: as before.
+    """(m, n) sign of the change from the posture before; first row +1, no change: as before. What an encoder reads
+    differently of a joint that stays, up to `SAME_POSTURE`, is no change.
 
     postures : (m, n) in the order of measurement
     gaps : (m,) rows before which measurements are missing: 0 there, until the joint moves again
     """
-    cut = np.zeros((len(postures), 1), dtype=bool) if gaps is None else gaps[:, None].astype(bool)
+    cut = [False] * len(postures) if gaps is None else gaps.astype(bool).tolist()
     signs = np.ones_like(postures)
-    signs[1:] = np.where(cut[1:], 0.0, np.sign(np.diff(postures, axis=0)))
-    # the last row that moved, for every row: a running maximum of row numbers
-    rows = np.arange(len(postures))[:, None]
-    return np.take_along_axis(signs, np.maximum.accumulate(np.where((signs != 0.0) | cut, rows, 0), axis=0), axis=0)
+    for j, angles in enumerate(postures.T.tolist()):
+        sign, last = 1.0, angles[0]  # where it came to: of a scan in small steps these add up
+        for row in range(1, len(angles)):
+            if cut[row]:
+                sign, last = 0.0, angles[row]
+            elif abs(angles[row] - last) > SAME_POSTURE:
+                sign, last = np.sign(angles[row] - last), angles[row]
+            signs[row, j] = sign
+    return signs
 
 
 def past_from_order(postures: Array, gaps: Array | None = None) -> Array:
@@ -394,7 +400,7 @@ class Measurements(ByValue):
         mean = 0.0 if self.temperature is None else float(np.mean(self.temperature))
         return mean if self.reference is None else self.reference
 
-    @property
+    @cached_property
     def _directions(self) -> Array:
         """(m, n) +1 or -1, NaN: unknown."""
         if self.directions is not None:

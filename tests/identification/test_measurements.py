@@ -18,6 +18,7 @@ from identification.measurements import (
     condition_columns,
     digests_in,
     digests_text,
+    directions_from_order,
     past_from_order,
     row_digests,
     shared_rows,
@@ -106,6 +107,17 @@ def test_each_session_has_its_own_time_and_directions() -> None:
         assert data.rows(rows).sessions == (name,)
     assert data.session[data.sequence].tolist() == ["b"] * 6 + ["a"] * 6
     np.testing.assert_array_equal(order[data.sequence], [*range(6), *range(6)])
+
+
+def test_what_an_encoder_reads_of_a_joint_that_stays_is_no_motion() -> None:
+    """Repeats of three postures, read to 0.006 degrees, come from the side that the first of them did; a slow scan
+    moves."""
+    generator = np.random.default_rng(12)
+    q = np.repeat([[0.3, -0.2], [0.8, -0.9], [0.1, -0.9]], 20, axis=0)
+    read = q + generator.uniform(-1e-4, 1e-4, q.shape)
+    np.testing.assert_array_equal(directions_from_order(read), np.repeat([[1, 1], [1, -1], [-1, -1]], 20, axis=0))
+    scan = directions_from_order(-2e-4 * np.arange(20.0)[:, None])
+    assert scan[3:].max() == -1.0
 
 
 def test_origin_says_where_a_calibration_may_be_used() -> None:
