@@ -402,7 +402,7 @@ def relax_files(
     if check:
         progress(1, 2, "cross-check")
         checked = with_choices(problem) if robust else problem
-        exact = new or max(2 * loaded.links, problem.fewest_runs)  # what a prior is worth depends on the runs
+        exact = new or problem.parameters  # what a prior is worth depends on the runs
         compared = cross_check(checked, relaxation, exact, seed=seed, seconds=end - perf_counter())
         data["cross_check"] = compared
     text = replace(relaxation.plan, fit=problem.fit).text(loaded.joint_types, columns_beside(relaxation))
