@@ -16,6 +16,7 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, nullcontext
+from functools import partial
 from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
@@ -248,14 +249,10 @@ def test_a_table_is_one_file_that_is_refused_resumed_or_replaced(tmp_path: Path)
 
 
 def test_the_table_of_another_run_that_began_meanwhile_stays(tmp_path: Path) -> None:
-    path, other = tmp_path / "rows.parquet", list[object]()
-
-    def begin(*_: object) -> None:
-        if not other:
-            other.append(run_tasks(work.draw, KEYS[:2], path, seed=5))
-
+    path = tmp_path / "rows.parquet"
+    run = partial(run_tasks, work.draw, KEYS[:2], path)
     with pytest.raises(InputError, match="the file exists, allowed: a new file name"):
-        run_tasks(work.draw, KEYS[:2], path, seed=6, progress=begin)
+        run(seed=6, progress=lambda *_: path.exists() or run(seed=5))
     assert pl.read_parquet(path)["value"].to_list() == work.drawn(KEYS[:2], seed=5)
 
 
