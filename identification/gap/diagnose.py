@@ -260,7 +260,7 @@ def notes(
         yield f"the fit of the best model did not converge: {best.status.value}"
     if measurements.directions is None:
         yield "directions of approach were derived from the order of measurement"
-        yield from gap_notes(measurements)
+    yield from gap_notes(measurements)
     if result.misfit is not None and measurements.sigma is None and not 0.67 < result.misfit.ratio < 1.5:
         of_file = f"{result.misfit.ratio:.3g} times the sigma_mm of the arm file"
         yield f"the residual scatter is {of_file}; the tests use the scatter, not sigma_mm"
