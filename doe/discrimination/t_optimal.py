@@ -30,7 +30,8 @@ class NextPostures:
     plan : (K) postures in the order of measurement, and of their conditions `payload` (K,) [kg] where there was a
         choice
     directions : (K, n) of approach, +1 or -1 as the controller counts, where they matter
-    chance : upper bound on the predicted probability that only the right candidate is left
+    chance : upper bound on the probability that only the right candidate is left, as linear models of all predict it:
+        what evidence says of a rival's further parameters is not in it
     pairs : (candidate, rival) -> expected lambda between them;  status : `local_optimum`, or what ended it
     """
 
@@ -42,7 +43,7 @@ class NextPostures:
 
     def __str__(self) -> str:
         cut = ", their search was cut" if self.status is not Status.local_optimum else ""
-        chance = f"at most {100.0 * self.chance:.0f} %"
+        chance = f"at most {100.0 * self.chance:.0f} %, by a linear estimate"
         return f"{len(self.plan)} postures{cut}; probability that the right candidate alone is left: {chance}"
 
     @property
