@@ -205,8 +205,7 @@ def left_again(data: Measurements, chain: KinematicChain) -> tuple[np.ndarray, t
 
 
 @pytest.mark.parametrize(
-    ("moved", "chain", "count"),
-    [("", CELL, 12), ("AB", CELL, 12), ("B", CELL, 12), ("", Arm([200.0, 100.0]).chain, 3)],
+    ("moved", "chain", "count"), [("", CELL, 12), ("AB", CELL, 12), ("B", CELL, 12), ("", Arm([200.0, 100.0]).chain, 3)]
 )
 def test_nothing_but_noise_is_left_of_another_set_up(moved: str, chain: KinematicChain, count: int) -> None:
     data = set_up(1, moved, chain)

@@ -74,12 +74,7 @@ def test_each_fault_has_its_sentence() -> None:
             "; joint 3 would be within them whole turns (360 deg) away: count these readings from the drawing's zero",
         ),
         (ARM, replace(good, postures=np.radians(good.postures)), "it looks as if the joint angles are in radians", ""),
-        (
-            ARM,
-            good.rows([*range(40), 5]),
-            "1 of 41 rows is an exact copy of another (row 41 of row 6); ",
-            "",
-        ),
+        (ARM, good.rows([*range(40), 5]), "1 of 41 rows is an exact copy of another (row 41 of row 6); ", ""),
         (replace(ARM, chain=np.array([500.0, 100.0, 200.0])), good, "the drawing is", ""),
     ):
         (sentence,) = inspect(arm, rows).problems

@@ -28,14 +28,7 @@ from identification import (
 )
 from identification.estimation.doubts import outside_limits
 from identification.files.measurement import load_targets, measurement_text
-from identification.kinematics.counting import (
-    Counting,
-    JointKinds,
-    check_kinds,
-    counting_in,
-    joint_range,
-    range_of,
-)
+from identification.kinematics.counting import Counting, JointKinds, check_kinds, counting_in, joint_range, range_of
 from identification.simulate import simulate
 from tests.refusals import refused
 
