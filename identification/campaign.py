@@ -83,7 +83,7 @@ def campaign_document(
         others = " and ".join(name for name in calibrated if name != model)
         lines.append(f"Of the calibrations the next steps use {model}: {why}. Beside it: {others}.")
     lines += [f"The plan {name} has {count_of(len(plan.measured), 'run')}." for name, plan in plans.items()]
-    verdict = lines or [f"{name}: {kind}." for name, kind in kinds.items()]
+    verdict = lines or [f"Read: {', '.join(f'{name} ({kind})' for name, kind in kinds.items())}."]
 
     sections = list[Section]()
     for name in sorted(calibrated, key=lambda name: name != model):
