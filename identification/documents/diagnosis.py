@@ -232,7 +232,7 @@ def diagnosis_document(
 
         return Pictures(draw)
 
-    data, named = diagnosis.to_json(), diagnosis.named
+    data, named = diagnosis.to_json() | {"files": files}, diagnosis.named
     reliance = [f"95 % intervals: {named.uncertainty.sentence}."] if data["effects"] else []
     sections = [Section("What is missing", [*missing_parts(data), *reliance])]
     if data["replication"]:
@@ -325,7 +325,8 @@ def gap_parts(data: Data, nominal: float | None = None) -> list[Part]:
         what = SCATTER[kind].format(joint=joint, when="early" if finding["size"] < 0.0 else "late")
         chance = f"probability {1.0 - finding['p']:.2f}"
         sentences.append(f"Scatter: {finding['finding']} ({what} {abs(finding['size']):.2g}, {chance}).")
-    sentences += [f"Rows left out as outliers: {', '.join(map(str, out))}."] if out else []
+    through = ", counted through the files" if len(data.get("files", ())) > 2 else ""  # the first is the arm
+    sentences += [f"Rows left out as outliers{through}: {', '.join(map(str, out))}."] if out else []
     sentences += [] if nominal is None else [f"Drawing: {number(nominal)} {unit} RMS, {fits.DRAWN['base']}."]
     table = Sheet([f"RMS distance [{unit}]", "rows", "before", "after", "expected", "holds"], shown)
     return [table, ABOUT_GAP.format(noise), *sentences]

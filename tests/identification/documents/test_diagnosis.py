@@ -191,7 +191,10 @@ def test_rows_that_no_fit_has_seen(
 ) -> None:
     test = HELD_OUT | {"shrinks": shrinks, "as_predicted": as_predicted, "confirmed": confirmed}
     data = diagnosed(2e-3).to_json() | {"cross_validation": [], "outlier_rows": [3, 17]}
-    table, _, told, *_ = gap_parts(data | {"confirmation": test})
+    table, _, told, *others = gap_parts(data | {"confirmation": test})
+    assert "Rows left out as outliers: 3, 17." in others
+    through = "Rows left out as outliers, counted through the files: 3, 17."
+    assert through in gap_parts(data | {"files": ("arm.toml", "one.csv", "other.csv")})
     assert isinstance(table, Sheet)
     # of N numbers a fit of p parameters leaves sqrt(1 - p / N) of the noise, sigma sqrt(2) = 0.0283 mm
     assert [table.rows[0][k] for k in (0, 1, 4)] == ["the data", "38 of 40", "< 0.0283"]
