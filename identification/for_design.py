@@ -18,7 +18,7 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property, partial
+from functools import cached_property
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
@@ -234,7 +234,6 @@ class ArmModel(Model):
         library that an arm can have besides its own, without the rare ones, beside a minimal set of parameters. An
         effect that acts at every joint alike has one size for all of them: that is what is seen first."""
         from identification.gap.blocks import hypotheses
-        from identification.gap.detectability import detectability
 
         arm = without_prior(self.arm)
         members = hypotheses(arm, frozenset()).members
@@ -257,7 +256,7 @@ class ArmModel(Model):
             conditions = Measurements(postures, np.zeros((len(postures), ordered.dimension))).conditions
             return self._of_each_point(ordered, postures, conditions) / ordered.scales
 
-        return base, design_model(model), tuple(bases), weights, by_order, partial(detectability, arm)
+        return base, design_model(model), tuple(bases), weights, by_order, replace(self, arm=arm).detectability
 
     def detectability(self, plan: Plan) -> Detectability:
         """What measuring a plan could show of every effect of the library, by the payloads, temperatures and directions

@@ -203,10 +203,9 @@ def design_files(
         from doe.discrimination.design import discrimination_design
 
         chosen = discrimination_design(problem, loaded, runs, progress=progress, **effort)
-        design, data, extra = chosen.design, chosen.to_json(), discriminating_parts(chosen)
+        design = chosen.design
     else:
         design = doe.solve(problem, runs, progress=progress, **effort)
-        extra = [*missing_lines(design)]
     end = process_time() + min(MOVES, seconds or MOVES)
 
     def late() -> bool:
@@ -214,7 +213,10 @@ def design_files(
         return process_time() > end
 
     driven = drive(design.problem, design.plan, order, approach, counts, seed, late)
-    design = replace(design, plan=driven.plan)
+    design, extra = replace(design, plan=driven.plan), [*missing_lines(design)]
+    if discriminating:
+        chosen = chosen.driven(driven.plan)
+        data, extra = chosen.to_json(), discriminating_parts(chosen)
     expected = ExpectedTip.of(design.problem, design.plan.postures, seed)
     data["expected_tip"] = None if expected is None else expected.to_json()
     extra += [] if expected is None else [str(expected)]

@@ -30,7 +30,7 @@ from doe.problem.postures import listed_candidates, random_postures
 from doe.problem.problem import information_of_each
 from doe.solvers import Solver, solve
 from doe.solvers.solver import LONG_PLAN, LONG_PLAN_SECONDS, Budget
-from identification import Array, InputError, Progress, Status, design_model, spectrum
+from identification import Array, InputError, Plan, Progress, Status, design_model, spectrum
 
 if TYPE_CHECKING:
     from doe.design import Design
@@ -53,7 +53,7 @@ class EffectLibrary:
     weights : (H,) how likely each effect is, in any unit
     jacobian_by_order : postures (m, n) in their order -> (m, d, p + L) scaled sensitivities with the effects that the
         order of measurement shows, as backlash and drift; None: there are none
-    preflight : postures (m, n) -> what measuring them could show of every effect; None: not needed
+    preflight : plan -> what measuring it could show of every effect; None: not needed
     """
 
     base: int
@@ -61,7 +61,7 @@ class EffectLibrary:
     bases: Sequence[Array]
     weights: Array
     jacobian_by_order: Callable[[Array], Array] | None = None
-    preflight: Callable[[Array], Any] | None = None
+    preflight: Callable[[Plan], Any] | None = None
 
     @classmethod
     def of(cls, arm: Arm) -> EffectLibrary:
@@ -151,6 +151,7 @@ class Discrimination:
     wrong, best_wrong, random_wrong : the mean probability of a wrong name is at most this, with the plan, the best plan
         and as many random postures (the median of many such plans), for effects that postures show and that are
         `LAMBDA` long on random ones; see the head of this file
+    judged : plan -> `sees` and `wrong` of it
     """
 
     design: Design
@@ -160,6 +161,14 @@ class Discrimination:
     wrong: float
     best_wrong: float
     random_wrong: float
+    judged: Callable[[Plan], tuple[Any, float]]
+
+    def driven(self, plan: Plan) -> Discrimination:
+        """The same of its plan as it is driven: in another order, from other sides, with other postures in places."""
+        if plan is self.design.plan:
+            return self
+        sees, wrong = self.judged(plan)
+        return replace(self, design=replace(self.design, plan=plan), sees=sees, wrong=wrong)
 
     @property
     def relative_efficiency(self) -> float:
@@ -231,16 +240,20 @@ def discrimination_design(
             status = Status.interrupted
     plan = replace(best.plan, postures=in_order(chosen, library, generator, budget))
     design = replace(best, plan=plan, solver="discriminating", status=status, seconds=perf_counter() - began)
-    sees = [  # what the postures and those measured already could show
-        None if library.preflight is None or len(every) > MOST_SEEN else library.preflight(every)
-        for every in (np.vstack([problem.kept, each.plan.postures]) for each in (design, best))
-    ]
+
+    def judged(plan: Plan) -> tuple[Any, float]:  # with the postures measured already
+        kept, sides = problem.kept, plan.conditions.get("directions")
+        sides = None if sides is None else np.vstack([np.full(kept.shape, np.nan), sides])
+        every = replace(plan, postures=np.vstack([kept, plan.postures]), conditions={"directions": sides})
+        sees = None if library.preflight is None or len(every) > MOST_SEEN else library.preflight(every)
+        return sees, min(1.0, state.wrong(plan.postures))
+
     # as many random postures, the median of many plans; effort: fewer plans of thousands of runs, which are much alike
     dice, many = np.random.default_rng(0), max(1, min(25, 100_000 // runs))
     cloud = pool_of(state.extended, many * runs, dice)
     at_random = float(np.median([state.wrong(dice.permutation(cloud)[:runs]) for _ in range(many)]))
-    bounds = state.wrong(chosen), state.wrong(best.plan.postures), at_random
-    return Discrimination(design, best, sees[0], sees[1], *(min(1.0, bound) for bound in bounds))
+    (sees, wrong), (best_sees, best_wrong) = judged(plan), judged(best.plan)
+    return Discrimination(design, best, sees, best_sees, wrong, best_wrong, min(1.0, at_random), judged)
 
 
 def in_order(postures: Array, library: EffectLibrary, generator: Generator, budget: Budget) -> Array:

@@ -312,6 +312,9 @@ def drive(
         postures = replaced(problem, postures, lost, room, turn, generator)
     via = np.concatenate([np.arange(len(way)) < len(way) - 1 for way in steps])
     measured, whole = (replace(plan, postures=q) for q in (postures[run_rows], np.concatenate(steps)))
+    if via.any():  # how joints come to a run does not follow from the runs before
+        last = np.diff(whole.postures, axis=0, prepend=np.nan)[~via].round(9)
+        measured = replace(measured, conditions={"directions": np.where(last == 0.0, np.nan, np.sign(last))})
     many = len(plan) > MANY and order != "travel"
     around = rows if many else shortest_path(room.travel(postures[:, None], postures))
     ways = (plan.postures, whole.postures, measured.postures, postures[around])

@@ -132,7 +132,8 @@ def test_a_plan_is_scored_by_its_weights_and_with_what_is_measured_already(folde
 
 
 def test_backlash_is_invisible_where_every_joint_comes_from_the_same_side(folder: Folder) -> None:
-    folder.said("design arm.toml --runs 12 --starts 2 --approach positive --out same.csv")
+    same = folder.said("design arm.toml --runs 12 --discriminating --seconds 2 --approach positive --out same.csv")
+    assert {f"backlash:{j}" for j in range(1, 5)} <= {*same["not_visible"]}  # as it is driven, not as it was found
     folder.said("design arm.toml --runs 12 --starts 2 --approach alternate --out both.csv")
     seen = {name: folder.said(f"score arm.toml {name}.csv --seconds 0.1")["preflight"] for name in ("same", "both")}
     sizes = {
