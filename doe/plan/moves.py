@@ -322,7 +322,8 @@ def drive(
     saved = 1.0 - after / before if before > 0.0 else 0.0
     data: dict[str, Any] = {"travel_deg": {"order": order, "before": before, "after": after, "saved": saved}}
     change = f"{abs(saved):.0%} {'more' if saved < 0.0 else 'saved'}"
-    lines = [f"order {order}: joint travel {before:.0f} -> {after:.0f} deg of the joint that moves farthest ({change})"]
+    travel = f"joint travel {before:.0f} -> {after:.0f} {problem.degrees}"
+    lines = [f"order {order}: {travel} of the joint that moves farthest ({change})"]
     if not solid and approach == "any":
         return Drive(measured, measured, data, lines)
     moves, changed = replace(whole, via=via), int(np.any(postures != given, axis=1).sum())

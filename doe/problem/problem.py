@@ -160,8 +160,12 @@ class DesignProblem:
     @property
     def spacing(self) -> str:
         """The minimum distance in words."""
-        stroke = "" if turns(self.model).all() else " (360 deg: the range of a prismatic joint)"
-        return f"{np.degrees(self.minimum_distance):g} deg{stroke}"
+        return f"{np.degrees(self.minimum_distance):g} {self.degrees}"
+
+    @property
+    def degrees(self) -> str:
+        """What joints are compared in, in words."""
+        return "deg" if turns(self.model).all() else "deg (360 deg: the range of a prismatic joint)"
 
     @property
     def parameters(self) -> int:
