@@ -87,7 +87,7 @@ class Clearance:
         self._ends, self._radii = np.stack([capsules[:, :3], capsules[:, 3:6]]), np.r_[capsules[:, 6], 0.0 * still]
         joint = np.array(joints)[owner[: self._capsules]]
         self._frames = np.stack([np.r_[np.where(joint == tip, 0, joint), still], np.r_[joint, still]])  # of both ends
-        pairs, pieces = list[tuple[str, str]](), list[tuple[int, int, int]]()
+        pairs, pieces, always = list[tuple[str, str]](), list[tuple[int, int, int]](), list[bool]()
         for one in range(len(names)):
             for other in range(one):
                 pair = names[one], names[other]
@@ -95,20 +95,23 @@ class Clearance:
                     continue
                 first, second = (np.flatnonzero(owner == body).tolist() for body in (one, other))
                 pieces += [(len(pairs), a, b) for a in first for b in second]
-                pairs += [pair] if first and second else []
+                if first and second:
+                    pairs.append(pair)  # what stands still is looked at wherever it is, but for what a tracker is in
+                    sight = names[one] == SIGHT and not joints[other]
+                    always.append(sight and not holds(parts[0][other], parts[1][other], parts[0][one][0, :3]))
         self._pieces, self.pairs = np.array(pieces, dtype=int).reshape(-1, 3), tuple(pairs)
         self._last: tuple[Any, ...] = (np.empty(0),)
         # of all pairs those that are looked at, by random postures: not those that always touch
         drawn = np.random.default_rng(0).uniform(model.lower, model.upper, (1000, len(model.lower)))
         apart = self.distance(drawn)
         largest = np.quantile(apart, 0.98, axis=0)  # seldom postures aside
-        kept = largest > 0.0
+        kept = (largest > 0.0) | np.array(always, dtype=bool)
         self.touching, self.pairs = (tuple(pairs[k] for k in np.flatnonzero(each)) for each in (~kept, kept))
         lengths = np.linalg.norm(np.diff(model.joint_frames(drawn[:1])[0, :, :3, 3], axis=0), axis=1)
         bare = [f"joint {j}" for j in (np.flatnonzero(lengths > ROUNDING) + 1).tolist() if j not in joints]
         # links without meshes, and joints that carry a link that nobody has described
         self.unseen, self.bare = getattr(cell.bodies, "unseen", ()), bare
-        self.asked = np.minimum(self.usual, 0.25 * largest)[kept]
+        self.asked = np.minimum(self.usual, np.where(largest > 0.0, 0.25 * largest, np.inf))[kept]
         self._pieces = self._pieces[kept[self._pieces[:, 0]]]
         self._pieces[:, 0] = np.unique(self._pieces[:, 0], return_inverse=True)[1]
         self.count, self._last = len(self.pairs), (np.empty(0),)
@@ -309,6 +312,14 @@ def from_box(points: Array, half: Array) -> Array:
     away = np.maximum(beyond, 0.0)
     deepest = np.maximum(np.maximum(beyond[0], beyond[1]), beyond[2])  # thrice as fast as a reduction
     return np.asarray(np.sqrt(dot(away, away)) + np.minimum(deepest, 0.0))
+
+
+def holds(capsules: Array, boxes: Array, place: Array) -> bool:
+    """Whether a place (3,) is in one of capsules (k, 7) or boxes (k, 15)."""
+    point, axes = np.tile(place[:, None], len(capsules)), (capsules[:, :3].T, capsules[:, 3:6].T)
+    away = shortest(point, point, *axes)[2]
+    along = np.einsum("kij,ki->jk", boxes[:, 3:12].reshape(-1, 3, 3), place - boxes[:, :3])
+    return bool(np.any(np.r_[np.sqrt(dot(away, away)) - capsules[:, 6], from_box(along, boxes[:, 12:].T)] <= 0.0))
 
 
 def nearest_to_box(a: Array, b: Array, half: Array) -> tuple[Array, Array]:

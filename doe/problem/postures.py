@@ -54,7 +54,11 @@ def fill(problem: DesignProblem, count: int, draw: Callable[[int], Array], gener
         feasible, every = best[problem.feasible(best)], np.concatenate([every, best])
     if not len(feasible):
         fits = np.array([np.all(c.margin(every) >= 0.0, axis=1) for c in problem.constraints])
-        names = [f"constraint {k + 1} ({c.kind})" for k, c in enumerate(problem.constraints)]
+        names = []
+        for k, c in enumerate(problem.constraints, start=1):
+            most = zip(getattr(c, "pairs", ()), c.margin(every).max(axis=0), strict=False)
+            never = ", ".join(" and ".join(pair) for pair, margin in most if margin < 0.0)
+            names.append(f"constraint {k} ({c.kind}{' of ' * bool(never)}{never})")
         alone = [name for name, fit in zip(names, fits, strict=True) if not fit.any()]
         pairs = [(a, b) for b in range(len(names)) for a in range(b) if not np.any(fits[a] & fits[b])]
         conflict = f"no posture satisfies all of {', '.join(names)} together"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import replace
 from itertools import pairwise
 
@@ -15,7 +16,7 @@ from doe.plan.ascent import PlanAscent
 from doe.problem.clearance import FLOOR, SIGHT, Clearance, from_box, nearest_to_box, shortest
 from doe.problem.constraints import Walls, constraints_of
 from doe.problem.postures import put_inside, random_postures
-from identification import Arm, Array, Model, design_model
+from identification import Arm, Array, InputError, Model, design_model
 from identification.kinematics.frames import pose
 from identification.workspace import Body, Cell, LineOfSight
 from tests.doe.six_axis import SIX_AXIS
@@ -211,6 +212,15 @@ def test_a_plan_climbs_and_keeps_its_distances(arm: Arm) -> None:
     assert judge.too_near(climbed) == []
     assert np.all(problem.feasible(climbed))
     assert judge.too_near(PlanAscent(replace(problem, constraints=()))(start, tolerance=1e-2))
+
+
+@pytest.mark.parametrize("tracker", [900.0, 700.0])
+def test_what_always_hides_the_arm_bars_all_but_what_the_tracker_is_in(tracker: float) -> None:
+    wall = Body("wall", boxes=np.array([[700.0, 0, 0, *np.eye(3).ravel(), 50, 2000, 2000]]))
+    sight = LineOfSight((tracker, 0.0), 3.0, (0.0, 0.0))
+    problem = DesignProblem.of(Model(Arm(np.array([300.0, 200.0]), cell=Cell((wall,)), constraints=(sight,))))
+    with pytest.raises(InputError, match="clearance of line of sight and wall") if tracker == 900.0 else nullcontext():
+        random_postures(problem, 5, np.random.default_rng(0))
 
 
 def test_every_measured_point_is_to_be_seen(arm: Arm, postures: Array) -> None:
