@@ -125,6 +125,11 @@ def condition_columns(n: int, further: Collection[str] = ()) -> dict[str, slice]
     return slices(sizes | {name: size for name, size in others.items() if name in further})
 
 
+def in_turns(postures: Array) -> Array:
+    """(m, n) joint positions of which a range of more than a turn, as of a slide [mm], counts as a turn, 2 pi."""
+    return postures / np.maximum(np.ptp(postures, axis=0) / (2.0 * np.pi), 1.0)
+
+
 def directions_from_order(postures: Array, gaps: Array | None = None) -> Array:
     """(m, n) sign of the change from the posture before; first row +1, no change: as before. What an encoder reads
     differently of a joint that stays, up to `SAME_POSTURE`, is no change.
@@ -134,7 +139,7 @@ def directions_from_order(postures: Array, gaps: Array | None = None) -> Array:
     """
     cut = [False] * len(postures) if gaps is None else gaps.astype(bool).tolist()
     signs = np.ones_like(postures)
-    for j, angles in enumerate(postures.T.tolist()):
+    for j, angles in enumerate(in_turns(postures).T.tolist()):
         sign, last = 1.0, angles[0]  # where it came to: of a scan in small steps these add up
         for row in range(1, len(angles)):
             if cut[row]:
@@ -349,7 +354,7 @@ class Measurements(ByValue):
         """
         if self.repeats is not None:
             return np.unique(self.repeats, return_inverse=True)[1]
-        q, numbers = np.unique(self.postures, axis=0, return_inverse=True)
+        q, numbers = np.unique(in_turns(self.postures), axis=0, return_inverse=True)
         groups = np.arange(len(q))
         if np.any(np.diff(q[:, 0]) <= SAME_POSTURE):  # else no two are near
             from scipy.sparse import coo_array

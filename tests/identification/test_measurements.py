@@ -110,12 +110,15 @@ def test_each_session_has_its_own_time_and_directions() -> None:
 
 
 def test_what_an_encoder_reads_of_a_joint_that_stays_is_no_motion() -> None:
-    """Repeats of three postures, read to 0.006 degrees, come from the side that the first of them did; a slow scan
-    moves."""
+    """Repeats of three postures, read to 0.001 degrees, come from the side that the first of them did, as do those of a
+    slide of 628 mm, read to 0.02 mm; a slow scan moves."""
     generator = np.random.default_rng(12)
     q = np.repeat([[0.3, -0.2], [0.8, -0.9], [0.1, -0.9]], 20, axis=0)
-    read = q + generator.uniform(-1e-4, 1e-4, q.shape)
-    np.testing.assert_array_equal(directions_from_order(read), np.repeat([[1, 1], [1, -1], [-1, -1]], 20, axis=0))
+    read = q + generator.uniform(-2e-5, 2e-5, q.shape)
+    for scale in (1.0, 100.0 * 2.0 * np.pi / 0.7):
+        found = Measurements(scale * read, np.zeros((60, 2)))
+        np.testing.assert_array_equal(found.conditions.directions, np.repeat([[1, 1], [1, -1], [-1, -1]], 20, axis=0))
+        assert found.posture_numbers.tolist() == np.repeat([0, 1, 2], 20).tolist()
     scan = directions_from_order(-2e-4 * np.arange(20.0)[:, None])
     assert scan[3:].max() == -1.0
 
