@@ -486,7 +486,7 @@ def program_files(
     out : Write the program, which takes the name of the file.
     """
     from doe import DesignProblem
-    from doe.plan.moves import in_sentences
+    from doe.plan.moves import from_elsewhere, in_sentences
     from doe.program.program import program
     from identification import Plan, load_arm
 
@@ -509,6 +509,9 @@ def program_files(
     headings = ["", *(f"q{j} [{unit}]" for j, unit in enumerate(made.units, start=1)), "after [s]"]
     rows = [[m["kind"], *(f"{q:.3f}" for q in m["joints"]), f"{m['seconds']:.0f}"] for m in made.moves]
     doubts = in_sentences(made.not_free)
+    if elsewhere := from_elsewhere(file):
+        named = f"run{'s' * (len(elsewhere) != 1)} {', '.join(map(str, elsewhere))}"
+        doubts.append(f"Joints come to {named} from other sides than direction1.. of {plan} say, in want of way-points")
     document = Document(parts=[sentence, Sheet(headings, rows, most=60, where="the program lists all"), *doubts])
     warned = [line.strip() for line in doubts]
     answer = Answer(data, document, warnings=warned, files={out: ("program", made.text)})

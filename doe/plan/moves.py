@@ -385,6 +385,15 @@ def in_sentences(moves: Sequence[Mapping[str, Any]]) -> list[str]:
     ]
 
 
+def from_elsewhere(plan: Plan) -> list[int]:
+    """Runs, from 1, to which a joint comes from another side than the plan's file says it is to."""
+    via = np.zeros(len(plan), dtype=bool) if plan.via is None else plan.via
+    motions = np.diff(plan.postures, axis=0, prepend=plan.postures[:1])  # to the first it may come from anywhere
+    asked = plan.conditions.get("directions")
+    against = np.zeros(len(plan), dtype=bool) if asked is None else np.any(motions * np.nan_to_num(asked) < 0.0, axis=1)
+    return [run for run, wrong in enumerate(against[~via].tolist(), start=1) if wrong]
+
+
 def one_turn(problem: DesignProblem, room: Room, postures: Array) -> Callable[[Array], Array]:
     """What turns joints of postures by whole turns, where limits leave room for more than one and neither the criterion
     nor a list tells the difference at postures (m, n): into one turn each, which ends where these would be least often

@@ -192,6 +192,14 @@ def test_from_the_command_line(folder: Folder) -> None:
     np.testing.assert_allclose([move["joints"] for move in data["moves"]], postures, rtol=0.0, atol=1e-9)
 
 
+def test_sides_that_are_asked_for_and_not_driven_from_are_named(folder: Folder) -> None:
+    names = [f"{name}{j}{unit}" for name, unit in (("q", "_deg"), ("direction", "")) for j in range(1, 5)]
+    rows = [*4 * [0], *4 * [1]], [*4 * [5], 1, 1, -1, 1], [*4 * [9], *4 * [1]]
+    folder.write("plan.csv", "\n".join(",".join(map(str, row)) for row in (names, *rows)))
+    done = folder.armcal("program arm.toml plan.csv --robot kuka --out p.src")
+    assert "Joints come to run 2 from other sides than direction1.. of plan.csv say" in done.flat
+
+
 def test_what_the_command_refuses(folder: Folder) -> None:
     folder.refused("program arm.toml plan.csv --robot ur --out p.script", "--robot ur: 4 joints, allowed: 6")
     folder.refused("program arm.toml plan.csv --robot kuka --out p.src --settle 1e3", "--settle: 1000 s")
