@@ -70,6 +70,8 @@ Names = Annotated[list[str], words, "NAMES"]
 def load_sessions(paths: Sequence[Path], arm: Arm) -> Measurements:
     """The measurements of an arm from files, each a session of its file's name; warns of units that look wrong. Raises
     `InputError` where they certainly are, and for a file given twice."""
+    import numpy as np
+
     from identification.files.measurement import load_measurements
     from identification.inspection.readings import data_warnings, read_differently
     from identification.measurements import pooled_sessions
@@ -87,7 +89,13 @@ def load_sessions(paths: Sequence[Path], arm: Arm) -> Measurements:
             warnings.warn(f"{path}: {sentence}", UserWarning, stacklevel=2)
     stems = [Path(path).stem for path in paths]
     names = [stem if stems.count(stem) == 1 else str(path) for path, stem in zip(paths, stems, strict=True)]
-    return read[0] if len(read) == 1 else pooled_sessions(dict(zip(names, read, strict=True)))
+    if len(read) == 1:
+        return read[0]
+    if arm.chain.instrument.own_targets:  # in each file elsewhere, as in each session of one
+        places = (np.full(len(one), "") if one.marker is None else np.char.add("/", one.marker) for one in read)
+        markers = [np.char.add(name, place) for name, place in zip(names, places, strict=True)]
+        read = [replace(one, marker=m, marker_names=()) for one, m in zip(read, markers, strict=True)]
+    return pooled_sessions(dict(zip(names, read, strict=True)))
 
 
 def arm_files(path: Path, effects: Sequence[EffectSpec], calibration: Calibration, out: Path, name: str) -> Files:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import inspect
 import sys
 import warnings
+from dataclasses import replace
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from identification import Arm, Calibration, InputError, Measurements, Model, lo
 from identification.campaign import campaign_document
 from identification.document import Document
 from identification.files.measurement import measurement_text
+from identification.instruments import PlanarDistance
 from identification.running import additions, single_thread
 from identification.workflow import VERBS, Written, check_files, compensate_files, identify_files, validate_files
 from tests.refusals import refused
@@ -80,6 +82,11 @@ def test_each_file_is_a_session_and_none_is_given_twice(folder: Path) -> None:
     (folder / "friday.csv").write_text((folder / "data.csv").read_text())
     arm, names = load_arm(folder / "arm.toml"), [folder / "data.csv", folder / "friday.csv"]
     assert load_sessions(names, arm).sessions == ("data", "friday")
+    bar = replace(arm, chain=replace(arm.chain, instrument=PlanarDistance()))
+    lengths = [folder / f"{day}.csv" for day in ("monday", "tuesday")]
+    for path in lengths:
+        path.write_text("q1_deg,q2_deg,distance_mm\n10,20,300\n20,50,310\n")
+    assert load_sessions(lengths, bar).marker_names == ("monday", "tuesday")  # a center for each
     with pytest.raises(InputError, match="given 2 times"):
         load_sessions([names[0], names[0]], arm)
 
