@@ -212,7 +212,11 @@ def design_files(
         progress(0, None, f"free moves, at most {max(end - process_time(), 0.0):.0f} s left")
         return process_time() > end
 
-    driven = drive(design.problem, design.plan, order, approach, counts, seed, late)
+    planned = design.problem, design.plan, order, approach, counts, seed
+    try:
+        driven = drive(*planned, late)
+    except KeyboardInterrupt:  # the plan is there; moves that are not proven by now are named
+        driven = drive(*planned, lambda: True)
     design, extra = replace(design, plan=driven.plan), [*missing_lines(design)]
     if discriminating:
         chosen = chosen.driven(driven.plan)
