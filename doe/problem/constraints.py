@@ -163,7 +163,9 @@ def outside_round(model: Offers, region: Any, q: ca.SX) -> ca.SX:
 def in_view(model: Offers, sight: Any, q: ca.SX) -> ca.SX:
     """(k,) The tracker sees the reflectors, all of them."""
     others = getattr(model, "other_points", ())
-    return ca.vertcat(*(_in_view(each, sight, q) for each in (model, *map(model.with_tip_moved, others))))
+    return ca.vertcat(
+        *(_in_view(each, sight, q) for each in (model, *(model.with_tip_moved(point) for point in others)))
+    )
 
 
 def _in_view(model: Offers, sight: Any, q: ca.SX) -> ca.SX:

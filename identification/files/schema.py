@@ -19,7 +19,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 from pydantic_core import PydanticCustomError
 
 from identification.arm import LARGEST, LARGEST_ANGLE, LENGTH_RANGE, MAX_LINKS, SIGMA_RANGE
-from identification.errors import InputError, nearest
+from identification.errors import InputError, close_names, nearest, suggestion
 from identification.instruments import KINDS
 from identification.workspace import CLEARANCE
 
@@ -129,7 +129,8 @@ class StrictTable(BaseModel):
             tables = {name: (field.annotation, *get_args(field.annotation)) for name, field in fields.items()}
             below = [name for name, types in tables.items() for t in types if key in getattr(t, "model_fields", ())]
             if len(below) == 1:
-                _refuse(key, f"found outside of a table, allowed: under [{below[0]}]")
+                hint = suggestion(close_names(key, fields))
+                _refuse(key, f"found outside of a table, {hint}allowed: under [{below[0]}]")
             _refuse(key, f"unknown key, {nearest(key, fields)}")
         for key in (key for key in values if key not in fields):
             _refuse(key, f"found in the file of a {kind} arm, allowed: in that of a {marks[key]['of']} arm")

@@ -180,6 +180,7 @@ BAD = [  # values that are of the right type
     spoilt(BY_URDF, '"six_axis.urdf"', '"../six_axis.urdf"', "urdf: '../six_axis.urdf' is outside"),
     spoilt(BY_URDF, '"six_axis.urdf"', '"none.urdf"', "none.urdf: no such file"),
     spoilt(BY_URDF, '"tool0"', '"tool1"', "did you mean 'tool0'?"),
+    spoilt(BY_URDF, "[tool.", "[tools.", "tools: found outside of a table, did you mean 'tool'? allowed: under"),
     spoilt(BY_URDF, 'kind = "spatial"', 'kind = "space"', "kind: found 'space'"),
     spoilt(BY_URDF, "lower = [-300.0]", "lower = [900.0]", "joint_limits_mm: joint 1"),
     spoilt(BY_URDF, "z_mm = [100.0, 2000.0]", "", "constraints[1].z_mm: is missing, allowed: a value for it [mm]"),
