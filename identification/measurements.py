@@ -470,6 +470,9 @@ def pooled_sessions(tables: Mapping[str, Measurements]) -> Measurements:
         if (part.links, part.dimension) != (first.links, first.dimension):
             counted = f"found {part.links} joints and {part.dimension} coordinates"
             raise InputError(f"{name}: {counted}, allowed: {first.links} and {first.dimension} as in the other data")
+    for name in ("order", "directions"):  # of tables without them they follow from the rows
+        if any(getattr(part, name) is not None for part in parts):
+            parts = [replace(part, **{name: getattr(part, f"_{name}")}) for part in parts]
     columns_of_all = frozenset.intersection(*(part.optional_columns for part in parts))
     if missing := sorted(frozenset.union(*(part.optional_columns for part in parts)) - columns_of_all):
         warnings.warn(f"not in all of the data, and left out: {', '.join(missing)}", UserWarning, stacklevel=2)

@@ -102,6 +102,11 @@ def test_pooled_tables() -> None:
     assert data.repeats[0] == data.repeats[1]
     assert len(set(data.repeats.tolist())) == 4  # 5 in one table is not 5 in the other
     np.testing.assert_array_equal(data.conditions.time, [-0.5, 0.0, 0.5, -0.5, 0.5])
+    given, plain = session(0, 3, order=[3, 1, 2], directions=-np.ones((3, 3))), session(1, 2)
+    both = pooled_sessions({"a": given, "b": plain}).conditions  # nothing is lost where one table does not say it
+    for name in ("time", "directions"):
+        alone = [getattr(one.conditions, name) for one in (given, plain)]
+        np.testing.assert_array_equal(getattr(both, name), np.concatenate(alone))
     named = replace(session(2, 2), session=np.array(["x", "y"]))
     known = {name: replace(session(0, 1), provenance={"file": f"{name}.csv", "sha256": name * 64}) for name in "ab"}
     assert dict(pooled_sessions(known).provenance) == {"file": "a.csv, b.csv", "sha256": ["a" * 64, "b" * 64]}
