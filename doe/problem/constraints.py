@@ -162,10 +162,8 @@ def outside_round(model: Offers, region: Any, q: ca.SX) -> ca.SX:
 
 def in_view(model: Offers, sight: Any, q: ca.SX) -> ca.SX:
     """(k,) The tracker sees the reflectors, all of them."""
-    others = getattr(model, "other_points", ())
-    return ca.vertcat(
-        *(_in_view(each, sight, q) for each in (model, *(model.with_tip_moved(point) for point in others)))
-    )
+    seen = [model, *(model.with_tip_moved(point) for point in getattr(model, "other_points", ()))]
+    return ca.vertcat(*(_in_view(each, sight, q) for each in seen))
 
 
 def _in_view(model: Offers, sight: Any, q: ca.SX) -> ca.SX:
