@@ -91,6 +91,9 @@ def load_sessions(paths: Sequence[Path], arm: Arm) -> Measurements:
     names = [stem if stems.count(stem) == 1 else str(path) for path, stem in zip(paths, stems, strict=True)]
     if len(read) == 1:
         return read[0]
+    if any(one.payload is not None for one in read):  # of the others it is that of the arm
+        usual = (one.payload if one.payload is not None else np.full(len(one), arm.payload) for one in read)
+        read = [replace(one, payload=payload) for one, payload in zip(read, usual, strict=True)]
     if arm.chain.instrument.own_targets:  # in each file elsewhere, as in each session of one
         places = (np.full(len(one), "") if one.marker is None else np.char.add("/", one.marker) for one in read)
         markers = [np.char.add(name, place) for name, place in zip(names, places, strict=True)]

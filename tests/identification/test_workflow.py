@@ -15,6 +15,7 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from identification import Arm, Calibration, InputError, Measurements, Model, load_arm, load_sessions
+from identification.arm import Gravity
 from identification.campaign import campaign_document
 from identification.document import Document
 from identification.files.measurement import measurement_text
@@ -82,6 +83,9 @@ def test_each_file_is_a_session_and_none_is_given_twice(folder: Path) -> None:
     (folder / "friday.csv").write_text((folder / "data.csv").read_text())
     arm, names = load_arm(folder / "arm.toml"), [folder / "data.csv", folder / "friday.csv"]
     assert load_sessions(names, arm).sessions == ("data", "friday")
+    names[1].write_text("q1_deg,q2_deg,x_mm,y_mm,payload_kg\n10,20,300,100,7\n")
+    heavy = replace(arm, gravity=Gravity(np.array([0.0, -9.81]), np.ones(2), np.full(2, 0.5), payload=3.0))
+    assert load_sessions(names, heavy).payload.tolist() == [*[3.0] * 30, 7.0]
     bar = replace(arm, chain=replace(arm.chain, instrument=PlanarDistance()))
     lengths = [folder / f"{day}.csv" for day in ("monday", "tuesday")]
     for path in lengths:
