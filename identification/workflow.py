@@ -102,16 +102,19 @@ def load_sessions(paths: Sequence[Path], arm: Arm) -> Measurements:
 
 
 def arm_files(path: Path, effects: Sequence[EffectSpec], calibration: Calibration, out: Path, name: str) -> Files:
-    """The arm file of `path` with these effects and this calibration, as `out`, and its URDF file if not there yet."""
+    """The arm file of `path` with these effects and this calibration, as `out`, and the files that it names, URDF, SRDF
+    and meshes of the cell, if not there yet."""
     from identification.files.arm import with_effects
 
-    folder, urdf = Path(path).parent, read_toml(path).get("urdf")
+    folder, table = Path(path).parent, read_toml(path)
+    cell = table.get("cell", {})
+    named = [table.get("urdf"), cell.get("srdf"), *(body.get("file") for body in cell.get("bodies", ()))]
     text = with_effects(read_text(path), effects, folder, calibration)
     files: Files = {out: (name, text)}
-    if urdf is not None:
-        copy, content = Path(out).parent / urdf, (folder / urdf).read_bytes()
+    for each in filter(None, named):
+        copy, content = Path(out).parent / each, read_bytes(folder / each)
         if not copy.exists() or copy.read_bytes() != content:
-            files[copy] = "nominal URDF file", content
+            files[copy] = "nominal URDF file" if each == table.get("urdf") else "file of the cell", content
     return files
 
 

@@ -162,6 +162,17 @@ def test_the_drawing_of_an_arm_file_is_not_corrected_in_its_place(spatial: Folde
     assert (spatial.read("six_axis.urdf"), [*(spatial.path / "new").iterdir()]) == (before, [])
 
 
+def test_what_an_arm_file_names_goes_with_it(spatial: Folder) -> None:
+    spatial.write("part.obj", "v 0 0 0\nv 90 0 0\nv 0 90 0\nv 0 0 90\nf 1 2 3\nf 1 2 4\n")
+    spatial.write("a.srdf", "<robot/>")
+    spatial.write("arm.toml", ARM + '[cell]\nsrdf = "a.srdf"\n[[cell.bodies]]\nkind = "mesh"\nfile = "part.obj"\n')
+    (spatial.path / "new").mkdir()
+    spatial.said("identify arm.toml data.csv --out new/calibrated.toml")
+    cell = load_arm(spatial.path / "new/calibrated.toml").cell
+    assert cell is not None
+    assert "mesh 1" in [body.name for body in cell.bodies]
+
+
 def test_effects_are_left_out_of_the_urdf_file_and_said(spatial: Folder) -> None:
     spatial.write("arm.toml", ARM + '\n[[effects]]\nname = "encoder_eccentricity"\njoint = 3\n')
     done = spatial.armcal("identify arm.toml data.csv --urdf corrected.urdf")
