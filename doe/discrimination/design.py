@@ -243,7 +243,8 @@ def discrimination_design(
 
     def judged(plan: Plan) -> tuple[Any, float]:  # with the postures measured already
         kept, sides = problem.kept, plan.conditions.get("directions")
-        sides = None if sides is None else np.vstack([np.full(kept.shape, np.nan), sides])
+        if sides is not None:  # of those by their order
+            sides = np.vstack([np.sign(np.diff(kept, axis=0, prepend=kept[:1])), sides])
         every = replace(plan, postures=np.vstack([kept, plan.postures]), conditions={"directions": sides})
         sees = None if library.preflight is None or len(every) > MOST_SEEN else library.preflight(every)
         return sees, min(1.0, state.wrong(plan.postures))
