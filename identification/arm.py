@@ -13,7 +13,7 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from identification.arrays import Array, ByValue, readonly
 from identification.document import Document, Sheet, html
@@ -96,9 +96,8 @@ class ErrorCurve(ByValue):
         # numerical: a thousandth of the weight of a value; less than that changes no wave of eight nodes or more
         steps = np.sqrt(1e-3) * np.diff(np.eye(count), axis=0)
         target = np.concatenate([values, np.zeros(count - 1)])
-        coefficients = np.linalg.lstsq(np.concatenate([spline_table(angles, start, stop, count), steps]), target)[0]
-        padded = np.pad(coefficients, 1)
-        at_nodes = (padded[:-2] + 4.0 * padded[1:-1] + padded[2:]) / 6.0
+        table = splines(np.concatenate([angles, np.linspace(start, stop, count)]), start, stop, count).toarray()
+        at_nodes = table[-count:] @ np.linalg.lstsq(np.concatenate([table[:-count], steps]), target)[0]
         return cls(start, stop, np.radians(np.round(np.degrees(at_nodes), 7)), geometry)
 
     @property
@@ -108,12 +107,9 @@ class ErrorCurve(ByValue):
 
     @cached_property
     def coefficients(self) -> Array:
-        """(K,) of the B-splines: the values are (c_(k-1) + 4 c_k + c_(k+1)) / 6, with zeros beyond the ends."""
-        from scipy.linalg import solve_banded
-
-        count = len(self.values)
-        bands = np.repeat([[1.0 / 6.0], [4.0 / 6.0], [1.0 / 6.0]], count, axis=1)
-        return readonly(solve_banded((1, 1), bands, self.values))
+        """(K,) of the B-splines."""
+        nodes = np.linspace(self.start, self.stop, len(self.values))
+        return readonly(np.linalg.solve(splines(nodes, self.start, self.stop, len(nodes)).toarray(), self.values))
 
     def at(self, angles: ArrayLike) -> Array:
         """The function at angles [rad] of any shape; an angle beyond the ends is looked up whole turns away."""
@@ -121,9 +117,7 @@ class ErrorCurve(ByValue):
         edge = 2.0 * self.spacing  # within which the function goes to zero
         beyond = (q < self.start - edge) | (q > self.stop + edge)
         q = np.where(beyond, self.start + np.mod(q - self.start, 2.0 * np.pi), q)
-        place, parts = local_splines(q.ravel(), self.start, self.stop, len(self.values))
-        padded = np.pad(self.coefficients, 3)  # splines beyond the ends have no coefficient
-        return np.einsum("mk,mk->m", parts, padded[place + 3]).reshape(q.shape)
+        return np.reshape(splines(q.ravel(), self.start, self.stop, len(self.values)) @ self.coefficients, q.shape)
 
     def holds(self, angles: ArrayLike) -> Array:
         """1 at angles [rad] between the ends, whole turns aside, and 0 beyond; smooth within two node spacings."""
@@ -135,22 +129,12 @@ class ErrorCurve(ByValue):
         return np.asarray(left**2 * (3.0 - 2.0 * left))
 
 
-def local_splines(angles: Array, start: float, stop: float, count: int) -> tuple[NDArray[np.int64], Array]:
-    """(m, 4) numbers of the splines that are not zero at angles (m,), and (m, 4) their values there. Numbers from -3 to
-    count + 2: those outside 0 to count - 1 do not exist; where all four do not, they are repeated."""
-    x = np.clip((angles - start) * (count - 1) / (stop - start), -2.0, count + 1.0)
-    first = np.clip(np.floor(x).astype(int) - 1, -3, count - 1)
-    place = first[:, None] + np.arange(4)
-    t = np.abs(x[:, None] - place)  # from the middle of the spline, in nodes
-    return place, (np.maximum(2.0 - t, 0.0) ** 3 - 4.0 * np.maximum(1.0 - t, 0.0) ** 3) / 6.0
+def splines(angles: Array, start: float, stop: float, count: int) -> Any:
+    """(m, count) sparse table of the values at angles (m,) of cubic B-splines, one centered on each of the nodes."""
+    from scipy.interpolate import BSpline
 
-
-def spline_table(angles: Array, start: float, stop: float, count: int) -> Array:
-    """(m, count) values at angles (m,) of the splines that exist."""
-    place, parts = local_splines(angles, start, stop, count)
-    table = np.zeros((len(angles), count + 6))
-    np.put_along_axis(table, place + 3, parts, axis=1)
-    return table[:, 3:-3]
+    in_nodes = np.clip((angles - start) * (count - 1) / (stop - start), -2.0, count + 1.0)
+    return BSpline.design_matrix(in_nodes, np.arange(-5.0, count + 5.0), 3)[:, 3:-3]  # none is centered beyond the ends
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,7 +20,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from identification.arm import Arm, EffectSpec, spline_table
+from identification.arm import Arm, EffectSpec, splines
 from identification.arrays import Array
 from identification.effects import Effect, Scope, build, of_dimension
 from identification.effects.base import OF_LOAD, ArmState, contribution, state_slices, widths
@@ -352,8 +352,8 @@ def curve_waves(angles: Array, start: float, stop: float) -> Array:
     at angles (m,) that may be whole turns away; at a node the sum of its functions is the value there."""
     count, k = WAVES + 1, np.arange(1, WAVES + 1)
     cosines = np.cos(np.pi / count * np.outer(np.arange(count) + 0.5, k))
-    splines = spline_table(around(angles, start, stop), start, stop, count)
-    return np.asarray(splines @ (cosines / np.sin(0.5 * np.pi * k / count)))
+    table = splines(around(angles, start, stop), start, stop, count)
+    return np.asarray(table @ (cosines / np.sin(0.5 * np.pi * k / count)))
 
 
 # -- all of them, in the space of their columns ------------------------------------------------------------------------
