@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from identification import library
-from identification.errors import close_names, nearest, suggestion
+from identification.errors import close_names
 
 KEYS = ("name", "kind", "links_mm", "joint_limits_deg", "measurement", "gravity", "effects", "calibration", "sigma_mm")
 
@@ -42,11 +42,3 @@ def test_keys_and_effects(word: str, names: list[str]) -> None:
 
 def test_numbers_are_kept() -> None:
     assert close_names("length_error:9", [f"length_error:{j}" for j in range(1, 7)]) == []
-
-
-def test_sentences() -> None:
-    assert suggestion([]) == ""
-    assert suggestion(["a"]) == "did you mean 'a'? "
-    assert suggestion(["a", "b"]) == "did you mean 'a' or 'b'? "
-    assert nearest("desing", ["score", "design"]) == "did you mean 'design'? allowed: design, score"
-    assert nearest("x", ["score", "design"]) == "allowed: design, score"

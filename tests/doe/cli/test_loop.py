@@ -148,14 +148,6 @@ def test_backlash_is_invisible_where_every_joint_comes_from_the_same_side(folder
     assert "directions of the plan count in the following; above, all are alike" in printed
 
 
-def test_travel_is_that_of_the_joint_that_moves_farthest(folder: Folder) -> None:
-    found = folder.said("design arm.toml --runs 8 --order travel")
-    travel = np.abs(np.diff(found["postures_deg"], axis=0)).max(axis=1).sum()
-    assert found["travel_deg"]["after"] == pytest.approx(travel, abs=1e-6)
-    printed = folder.armcal("design arm.toml --runs 8 --order travel").flat
-    assert f"-> {travel:.0f} deg of the joint that moves farthest" in printed
-
-
 # -- pages -------------------------------------------------------------------------------------------------------------
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Folder:

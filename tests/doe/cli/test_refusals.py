@@ -297,12 +297,6 @@ def test_a_robust_plan_of_an_arm_that_hardly_moves(folder: Folder) -> None:
         assert done.code == 0 or done.err.startswith("armcal: ")
 
 
-def test_a_plan_outside_the_limits_warns(folder: Folder) -> None:
-    folder.write("fourier.csv", PLAN + "".join(f"{run}{f',{72 * run}' * 4}\n" for run in range(5)))
-    done = folder.armcal("score arm.toml fourier.csv")
-    assert (done.code, "outside joint limits" in done.err) == (0, True)
-
-
 def test_a_truth_that_is_none_warns(folder: Folder) -> None:
     """An effect without any value does nothing; with one here or in the calibration it does."""
     effect = '\n[[effects]]\nname = "encoder_eccentricity"\njoint = 2\n'

@@ -99,23 +99,6 @@ def test_a_plan_carries_how_it_is_to_be_fitted_and_identify_follows(two: Folder)
     assert partial["fit"]["against"] == "--only"
 
 
-def test_every_reader_takes_the_comment(two: Folder) -> None:
-    """Plans and measurements with one, also as a spreadsheet hands them back, and with comments of any other kind."""
-    rows = "".join(f"{k + 1};{67 * k % 330 - 165};{37 * k % 190 - 95}\n" for k in range(12))
-    two.write("plan.csv", '"# fit: library-prior";;\n# measured on Monday;;\nrun;q1_deg;q2_deg\n' + rows)
-    two.write("truth.toml", ARM + TRUTH)
-    assert two.said("score arm.toml plan.csv")["fit"] == "library-prior"
-    two.simulated()
-    assert two.read("data.csv").startswith("# fit: library-prior\nq1_deg")
-    for line in (
-        "design arm.toml --runs 4 --keep data.csv", "design arm.toml --runs 4 --candidates plan.csv",
-        "design arm.toml --runs 4 --criterion I --test-poses plan.csv", "check arm.toml data.csv",
-        "relax arm.toml --candidates plan.csv --no-check", "report arm.toml plan.csv --out page.html",
-    ):  # fmt: skip
-        two.said(line)
-    assert "data.csv --library-prior --out calibrated.toml" in two.read("page.html")
-
-
 @pytest.mark.parametrize(
     ("line", "option"),
     [("design arm.toml --runs 5 --robust", "--robust"), ("advise arm.toml --target-mm 0.1", "--target-mm")],

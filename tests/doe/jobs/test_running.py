@@ -27,7 +27,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from doe import jobs
-from doe.jobs import Workers, call, canonical, cluster, parquet, run_tasks
+from doe.jobs import Workers, call, cluster, parquet, run_tasks
 from identification import InputError, JobError
 
 sys.path.insert(0, str(Path(__file__).parent))  # workers find the tasks by name
@@ -286,11 +286,6 @@ def test_a_table_without_a_finished_task_leaves_nothing(tmp_path: Path) -> None:
     for folder in (tmp_path / "new", tmp_path):
         run_tasks(work.stop_at_three, [KEYS[3]], folder / "rows.parquet", payload=lambda _: "raises")
         assert not list(tmp_path.iterdir())
-
-
-@given(st.dictionaries(st.text(), st.integers() | st.text() | st.booleans() | st.none()))
-def test_canonical_ignores_the_order(key: dict[str, object]) -> None:
-    assert canonical(key) == canonical(dict(reversed(key.items())))
 
 
 @given(done=st.sets(st.integers(0, 11)), again=st.sets(st.integers(0, 11)))

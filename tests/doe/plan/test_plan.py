@@ -272,13 +272,6 @@ def test_a_move_along_a_wall_is_not_proven_and_ends_all_the_same() -> None:
     assert not discs((0.0, 0.0, 0.5)).free(np.array([[-1.0, 0.5]]), np.array([[1.0, 0.5]]))[0]
 
 
-def test_nothing_in_the_way_and_no_move() -> None:
-    assert discs().free(np.zeros((3, 2)), np.ones((3, 2))).all()
-    here = np.array([[0.7, 0.0]])
-    assert discs((0.0, 0.0, 0.5)).free(here, here).all()
-    assert not discs((0.0, 0.0, 0.5)).free(0.5 * here, 0.5 * here).any()
-
-
 # -- ways round --------------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("seed", range(5))
 def test_a_way_round_a_disc_is_near_the_shortest(seed: int) -> None:

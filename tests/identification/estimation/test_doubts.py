@@ -76,23 +76,17 @@ def test_far_rows_are_told_by_all_that_is_measured_and_by_what_each_row_scatters
     residual, single = np.zeros((5, 6)), np.arange(5) == 2
     residual[:, 0], residual[2, 5] = 0.1, 4.0
     rows = Measurements(np.arange(5.0)[:, None], residual)
-    for sigma, times in (
-        (None, "40 times as far as"),
-        (0.1 - 0.05 * single, "80 times as far, by the sigma_mm of each"),
-    ):
+    own = 0.1 - 0.05 * single
+    for sigma, times in ((None, "40 times as far as"), (own, "80 times as far, by the sigma_mm of each")):
         (said,) = far_rows(residual, replace(rows, sigma=sigma), posed, single, np.zeros(5, dtype=bool))
         assert said.startswith(f"row 3: up to 0.1 mm and 0.2292 deg off, {times}")
 
 
 def test_where_a_payload_hangs_is_said_where_it_follows_from_the_order_of_the_rows() -> None:
-    loaded, rows = (
-        drawn_arm().with_effects(EffectSpec("joint_compliance", 2)),
-        Measurements(np.zeros((1, 6)), [[0.0] * 3]),
-    )
+    loaded = drawn_arm().with_effects(EffectSpec("joint_compliance", 2))
+    rows, first = Measurements(np.zeros((1, 6)), [[0.0] * 3]), next(iter(loaded.chain.tools))
     (said,) = payload_of_several(Model(loaded), rows)
-    assert said.startswith(
-        f"the payload is taken to hang at measured point {next(iter(loaded.chain.tools))}, the first"
-    )
+    assert said.startswith(f"the payload is taken to hang at measured point {first}, the first")
     placed = replace(loaded, gravity=replace(loaded.gravity, payload_at=np.zeros(3)))
     for other in (placed, drawn_arm(), replace(loaded, chain=replace(CHAIN, tools={"1": np.eye(4)}))):
         assert payload_of_several(Model(other), rows) == []

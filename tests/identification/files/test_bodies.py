@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from identification import Arm, Array, InputError, load_arm
-from identification.files.bodies import collisions, mesh_file, read_mesh
-from identification.files.urdf import read_urdf
+from identification.files.bodies import mesh_file, read_mesh
 from identification.workspace import Body
 from tests.identification.files.test_arm import CELL, DATA, PLAIN, PLANAR_CELL
 from tests.refusals import refused
@@ -62,31 +61,6 @@ def test_links_are_where_their_joints_put_them(tmp_path: Path) -> None:
         ("finger", [400, 0, 100, 400, 0, 100, 10]),
     ):
         np.testing.assert_allclose(found[name].capsules, [capsule], atol=1e-9)
-
-
-def test_links_are_where_pinocchio_puts_them(tmp_path: Path) -> None:
-    """Of bodies that move with the turning joint, and of the table in the world, in which the base stands as above."""
-    pinocchio = pytest.importorskip("pinocchio", reason="pinocchio is not installed: pip install 'armcal[oracle]'")
-    text = TREE.replace("MESH", "<box size='1 2 3'/>").replace('xyz="0.2 0 0"', 'xyz="0.2 0.1 0"')
-    text = text.replace("<capsule", "<cylinder").replace("<limit", "<limit effort='1' velocity='1'")
-    model = pinocchio.buildModelFromXML(text)
-    (tmp_path / "r.urdf").write_text(text)
-    geometry = pinocchio.buildGeomFromUrdf(model, str(tmp_path / "r.urdf"), pinocchio.GeometryType.COLLISION)
-    urdf = read_urdf("r.urdf", text)
-    places = urdf.links_on("base", "tip")
-    base = pinocchio.SE3(np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), np.array([0.0, 1.0, 0.5]))
-    seen = 0
-    for each in geometry.geometryObjects:
-        link, number = each.name.rsplit("_", 1)
-        if each.parentJoint <= 1:
-            joint, place, _ = places[link]
-            found = place @ collisions(urdf, link)[int(number)].place
-            expected = (base.inverse() * each.placement if joint == 0 else each.placement).homogeneous
-            expected[:3, 3] *= 1000.0
-            assert joint == each.parentJoint
-            np.testing.assert_allclose(found, expected, atol=1e-9)
-            seen += 1
-    assert seen == 7
 
 
 @pytest.fixture

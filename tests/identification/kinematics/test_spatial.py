@@ -278,12 +278,6 @@ def test_of_the_equal_angles_the_nearest(
     assert np.linalg.norm(found - asked - off) <= np.linalg.norm(off) + 1e-6
 
 
-@given(st.tuples(*[st.floats(-1.0, 1.0)] * 3).filter(lambda v: np.linalg.norm(v) > 0.1), angles)
-def test_rotation_about_an_axis(axis: tuple[float, float, float], angle: float) -> None:
-    unit = np.array(axis) / np.linalg.norm(axis)
-    np.testing.assert_allclose(rotation_about(unit, angle), Rotation.from_rotvec(angle * unit).as_matrix(), atol=1e-12)
-
-
 SYMBOL = ca.SX.sym("r", 3, 3)
 VECTOR = rotation_vector(SYMBOL)
 FUNCTION = ca.Function("vector", [SYMBOL], [VECTOR, ca.jacobian(VECTOR, ca.vec(SYMBOL))])

@@ -395,11 +395,6 @@ def fit(data: Measurements, arm: Arm = SIX_AXES) -> Identification:
     return estimate(Model(with_sessions(arm, data)), data)
 
 
-def test_three_sessions_converge() -> None:
-    """Two of the reflectors mounted elsewhere in between, which the fit takes for the same points."""
-    assert fit(cell(3, {(1, "A"): MOVED, (2, "B"): -MOVED}, seed=3)).status is Status.converged
-
-
 def test_a_point_that_nothing_holds_stays_near_the_arm() -> None:
     """Two places of a reflector fitted as one: the sum of squares of a SCARA falls with its height, without an end."""
     away = np.random.default_rng(2).uniform(-15.0, 15.0, 3)
