@@ -175,8 +175,10 @@ def loaded(tmp_path: Path, text: str) -> Arm:
 
 def test_pairs_that_are_not_looked_at(tmp_path: Path) -> None:
     """Links beside each other, and what the file says."""
-    arm = loaded(tmp_path, f'{WIDE}[cell]\napart = [["link 1", "table"]]\n')
-    assert arm.cell.apart == {frozenset(("link 1", "link 2")), frozenset(("link 1", "table"))}
+    arm = loaded(tmp_path, f'{WIDE}[cell]\napart = [["link 1", "floor"]]\n')
+    assert arm.cell.apart == {frozenset(("link 1", "link 2")), frozenset(("link 1", "floor"))}
+    with pytest.raises(InputError, match=r"cell.apart: unknown body 'link_1', did you mean 'link 1'\?"):
+        loaded(tmp_path, f'{WIDE}[cell]\napart = [["link_1", "floor"]]\n')
 
 
 def test_bodies_of_a_planar_arm(tmp_path: Path) -> None:
