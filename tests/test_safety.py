@@ -119,7 +119,7 @@ def test_files_named_in_files_stay_in_their_folder(tmp_path: Path, name: str) ->
     for link in ("link", "link.csv"):
         (folder / link).symlink_to("../secret")
     (folder / "arm.toml").write_text(f'kind = "spatial"\nurdf = "{name}"\nbase_link = "a"\ntip_link = "b"\n')
-    (folder / "below" / "arm.toml").write_text("links_mm = [1.0, 1.0]\n[measurement]\nsigma_mm = 0.1\n")
+    (folder / "below" / "arm.toml").write_text("links_mm = [100.0, 80.0]\n[measurement]\nsigma_mm = 0.1\n")
     with pytest.raises(InputError, match="outside the folder of the arm file, allowed: a file beside it or below"):
         load_arm(folder / "arm.toml")
     for arm, plan in ((name, "random"), ("below/arm.toml", f"{name}.csv"), ("below/arm.toml", "random")):

@@ -53,8 +53,8 @@ def load_arm(path: PathLike | Mapping[str, Any], package_dirs: Sequence[PathLike
 
     package_dirs : folders in which meshes of its URDF file are, besides those beside it, below, and in its package
 
-    Raises `InputError`, one line naming file, key, what was found and what is allowed. Warns (`UserWarning`) when the
-    joint limits look like radians.
+    Raises `InputError`, one line naming file, key, what was found and what is allowed. Warns (`UserWarning`) when
+    lengths look like metres or joint limits like radians.
     """
     if isinstance(path, Mapping):
         return arm_from_tables(dict(path))
@@ -66,6 +66,9 @@ def load_arm(path: PathLike | Mapping[str, Any], package_dirs: Sequence[PathLike
         arm = arm_from_tables(tables, Path(path).parent, package_dirs)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
+    if 0.0 < arm.reach < 10.0:
+        message = f"the arm reaches {arm.reach:.4g} mm, which looks like metres; write millimetres"
+        warnings.warn(f"{path}: {message}", UserWarning, stacklevel=2)
     limits = [abs(value) for values in tables.get("joint_limits_deg", {}).values() for value in values]
     if limits and max(limits) <= 2.0 * np.pi + 0.01:
         message = "joint_limits_deg: all limits are within 6.3 deg and look like radians; write them in degrees"

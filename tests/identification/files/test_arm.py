@@ -83,7 +83,6 @@ def same(a: object, b: object) -> None:
 
 # -- reading -----------------------------------------------------------------------------------------------------------
 def test_every_documented_key_is_read(tmp_path: Path) -> None:
-    arm = load(tmp_path, FULL)
     degree = np.pi / 180.0
     expected = Arm(
         chain=[260.0, 180.0, 120.0, 100.0],
@@ -110,7 +109,7 @@ def test_every_documented_key_is_read(tmp_path: Path) -> None:
             provenance={"file": "data.csv", "rms_after_mm": 0.1},
         ),
     )
-    same(expected, arm)
+    same(expected, load(tmp_path, FULL))
 
 
 def test_what_is_left_out_has_its_default(tmp_path: Path) -> None:
@@ -119,7 +118,9 @@ def test_what_is_left_out_has_its_default(tmp_path: Path) -> None:
     assert (gravity.center_of_mass.tolist(), gravity.payload) == ([0.5, 0.5], 0.0)
 
 
-def test_limits_that_look_like_radians_warn(tmp_path: Path) -> None:
+def test_units_that_look_wrong_warn(tmp_path: Path) -> None:
+    with pytest.warns(UserWarning, match=r"arm.toml: the arm reaches 0.44 mm, which looks like metres; write millimet"):
+        load(tmp_path, "links_mm = [0.26, 0.18]\n")
     with pytest.warns(UserWarning, match=r"arm.toml: joint_limits_deg: .* look like radians; write them in degrees"):
         load(tmp_path, PLAIN + "[joint_limits_deg]\nlower = [-3.14, -2]\nupper = [3.14, 6.2832]\n")
 

@@ -122,8 +122,7 @@ def test_a_link_does_not_lead_out(tmp_path: Path) -> None:
     (tmp_path / "work/cell/part.stl").symlink_to(tmp_path / "other/part.stl")
     found, (said, _) = said_of(arm_of(tmp_path / "work/cell", MESH.replace("NAME", "part.stl")))
     assert re.search(r"r.urdf: meshes of part are not found \(.*\): collisions are not looked at, allowed: ", said)
-    assert "part" not in found
-    assert "upper" in found
+    assert {"part", "upper"} & {*found} == {"upper"}
 
 
 @pytest.mark.parametrize(
@@ -177,8 +176,6 @@ def test_pairs_that_are_not_looked_at(tmp_path: Path) -> None:
     """Links beside each other, and what the file says."""
     arm = loaded(tmp_path, f'{WIDE}[cell]\napart = [["link 1", "floor"]]\n')
     assert arm.cell.apart == {frozenset(("link 1", "link 2")), frozenset(("link 1", "floor"))}
-    with pytest.raises(InputError, match=r"cell.apart: unknown body 'link_1', did you mean 'link 1'\?"):
-        loaded(tmp_path, f'{WIDE}[cell]\napart = [["link_1", "floor"]]\n')
 
 
 def test_bodies_of_a_planar_arm(tmp_path: Path) -> None:
@@ -232,6 +229,7 @@ ROW = 'kind = "spatial"\n[[dh]]\na_mm = 1.0\nalpha_deg = 0.0\nd_mm = 0.0\n'
                 ("[cell]\n", '[cell]\nsrdf = "/etc/passwd"\n', "cell.srdf: '/etc/passwd' is outside the folder"),
                 ("100.0]", "0.0]", "cell.bodies[1].end_mm: found [0.0, 0.0, 0.0], allowed: another point"),
                 ('"m"', '"inch"', "cell.bodies[2].unit: found 'inch'"),
+                ('[["wall"', '[["wal"', "cell.apart: unknown body 'wal', did you mean 'wall'?"),
             )
         ),
         (ROW, '[cell]\nsrdf = "r.srdf"\n', "", "", "cell.srdf: found without urdf, allowed: with urdf"),
