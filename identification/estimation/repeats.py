@@ -118,17 +118,17 @@ def _repeats_in_time(measurements: Measurements, kept: Kept) -> tuple[NDArray[np
 def repeat_finding(residual: Array, rank: int, measurements: Measurements, kept: Kept) -> tuple[Finding, ...]:
     """F test of lack of fit against the scatter of repeats: a fast ripple resembles noise, but it repeats.
 
-    It is over repeats far apart in time if there are enough. Empty if not significant at `LEVEL`.
+    It is over repeats far apart in time: in reads without a new approach the arm's own scatter, too, is the same.
+    Empty if not significant at `LEVEL`.
 
     residual : (m, d) [mm] of a fitted model of this rank
     """
     groups, _, far = _repeats_in_time(measurements, kept)
-    left = residual[kept]
-    for rows in (far, np.ones_like(far)):
-        if pure_error(left[rows], groups[rows])[1] >= SPARE:
-            excess, p = lack_of_fit(left[rows], groups[rows], rank)
-            return (Finding("repeats", p, excess),) if p <= LEVEL else ()
-    return ()
+    left, groups = residual[kept][far], groups[far]
+    if pure_error(left, groups)[1] < SPARE:
+        return ()
+    excess, p = lack_of_fit(left, groups, rank)
+    return (Finding("repeats", p, excess),) if p <= LEVEL else ()
 
 
 def with_repeats_doubted(identified: Identification, measurements: Measurements) -> Identification:
