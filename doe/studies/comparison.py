@@ -157,8 +157,7 @@ def summary(rows: pl.DataFrame) -> pl.DataFrame:
 
 def with_hits(rows: pl.DataFrame) -> pl.DataFrame:
     """The rows with `good` (done and correct), `loss` of efficiency against the best value known of the problem, and
-    `hit`: the best known plan was found, for which no bound is needed. Columns that no row has are added, empty.
-    """
+    `hit`: the best known plan was found, for which no bound is needed. Columns that no row has are added, empty."""
     rows = pl.concat([rows, pl.DataFrame(schema=COLUMNS)], how="diagonal_relaxed").cast(COLUMNS)
     good = (pl.col("status") == "done") & pl.col("correct").fill_null(value=False) & pl.col("value").is_not_null()
     best = pl.when(good).then(pl.col("value")).max().over(PROBLEM)

@@ -30,7 +30,7 @@ from identification.measurements import Conditions, Measurements
 from identification.model import Model
 from identification.running import single_thread
 
-POWER = 0.9  # convention: what is "excluded" a test finds in nine cases of ten, the posterior in three of four
+POWER = 0.9  # convention: what is "excluded" a test finds in nine cases of ten, the posterior less often
 # derived: two effects of likeness c differ by lambda^2 (1 - c^2) in chi-square, below 6 up to lambda = 5.6
 NEAR = 0.9
 

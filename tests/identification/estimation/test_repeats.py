@@ -46,7 +46,7 @@ def test_repeats_far_apart_hold_the_slow_errors_and_close_ones_do_not() -> None:
     expected = np.sqrt(np.sum((blocks - blocks.mean(axis=1, keepdims=True)) ** 2) / (50 * 2))
     found = noise_floor(residual, data, np.ones(150, dtype=bool), None)
     assert found.repeats is None
-    assert found.close_repeats == pytest.approx(expected, rel=0.1)  # but for the ten blocks that are cut
+    assert found.close_repeats == pytest.approx(expected, rel=0.1)  # but for ten blocks, cut where a tenth ends
     assert found.source == "close_repeats"
     # reads of one approach share also what the arm itself scatters by, which is nothing that the model misses
     approach = np.repeat(np.random.default_rng(3).standard_normal((50, 2)), 3, axis=0)
