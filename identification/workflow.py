@@ -472,7 +472,7 @@ def diagnose_files(
     named_only : Write only what is named, without less likely effects and error curves.
     out : Write the arm file of the model that predicts best; --force also where it is not confirmed.
     """
-    from identification.documents.diagnosis import holds_in_words, tests_of
+    from identification.documents.diagnosis import holds_in_words, refuted, tests_of
     from identification.files.arm import load_arm
     from identification.gap.diagnose import diagnose
     from identification.measurements import rms_distance
@@ -487,8 +487,8 @@ def diagnose_files(
     loaded, _ = with_servo_errors(loaded, measurements)
     diagnosis = judged(diagnose(loaded, measurements, held_out, seed, progress), loaded, measurements, held_out)
     result, names, files = diagnosis.to_json(), [*map(str, (arm, *data))], Files()
-    refuted = [f"not confirmed: {holds_in_words(test)[1]}" for test in tests_of(result) if test["confirmed"] is False]
-    if out is not None and diagnosis.confirmed is False and not force:
+    against = [f"not confirmed: {holds_in_words(test)[1]}" for test in tests_of(result) if test["confirmed"] is False]
+    if out is not None and refuted(result) and not force:
         warnings.warn(f"{out} was not written: not confirmed; --force writes it all the same", stacklevel=2)
     elif out is not None:
         model = diagnosis.extended_arm(diagnosis.named if named_only else None)
@@ -498,7 +498,7 @@ def diagnose_files(
         nominal = rms_distance(drawing_residuals(diagnosis.arm, measurements))
         read = [arm, *data, *([] if holdout is None else [holdout])]
         files[report] = "page", page(diagnosis.document(names, out, nominal), read)
-    document, doubts = diagnosis.document(names, out), [*diagnosis.warnings, *refuted[:1]]
+    document, doubts = diagnosis.document(names, out), [*diagnosis.warnings, *against[:1]]
     return Answer(result | {"files": names}, document, diagnosis, warnings=doubts, files=files)
 
 

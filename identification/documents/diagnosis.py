@@ -66,7 +66,7 @@ def diagnosis_verdict(data: Data) -> list[str]:
     better than the geometry alone."""
     effects, sets, verdict, lines = data["effects"], data["candidates"], data["verdict"], []
     named, several = effects_in_words(effects), len({label.partition(":")[0] for label in effects}) > 1
-    if data["confirmed"] is False:
+    if refuted(data):
         partly = "Not confirmed as predicted: the error on rows that no fit has seen falls by less."
         lines.append(partly if shrinks(data) else f"Not confirmed on {judges(data)}.")
     if not is_offered(data):
@@ -146,6 +146,12 @@ def shrinks(data: Data) -> bool:
     return bool((data["confirmation"] or {}).get("shrinks"))
 
 
+def refuted(data: Data) -> bool:
+    """Whether the hold-out speaks against the model; without one, whether cross-validation does."""
+    tests = [data["confirmation"]] if data["confirmation"] else data["cross_validation"]
+    return any(test["confirmed"] is False for test in tests)
+
+
 def judges(data: Data) -> str:
     """The rows by which a model is confirmed or not; those of cross-validation had a part in the choice of effects."""
     return "rows that no fit has seen" if data["confirmation"] else "rows left out in cross-validation"
@@ -185,7 +191,7 @@ def diagnosis_actions(
         "Measure some twenty other postures, best on another day, and let them confirm what was found:",
         f"{again} --holdout other.csv",
     )
-    if data["confirmed"] is False:
+    if refuted(data):
         gain = " yet: the error on rows that no fit has seen falls by less than predicted"
         why = gain if shrinks(data) else f": {judges(data)} speak against it"
         return [Action(f"Do not put this into the controller{why}."), confirm]
@@ -253,9 +259,8 @@ def diagnosis_document(
     best = diagnosis.predicting if data["verdict"] == "unknown" else named
     undetermined = [name for name, (low, _) in named.limits_95.items() if np.isnan(low)]
     values = corrected_values(diagnosis.extended_arm(best), best.calibration, unknown=undetermined)
-    doubted = data["confirmed"] is False
-    title = "Corrected values, not confirmed" if doubted else "Corrected values"
-    sections.append(fits.corrected_section(title, values, folded=doubted))
+    title = "Corrected values, not confirmed" if refuted(data) else "Corrected values"
+    sections.append(fits.corrected_section(title, values, folded=refuted(data)))
     sections.append(Section("Signed error against each joint", [picture("signed_of")]))
     if data["curves"]:
         sections.append(Section("Error curves of joints", [curve_table(data), CURVES, picture("curves_figure")]))

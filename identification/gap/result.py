@@ -310,15 +310,10 @@ class Diagnosis(Documented):
 
     @property
     def confirmed(self) -> bool | None:
-        """Whether the hold-out confirms the verdict; None if it has too few rows, or if what is left of the data is
-        more than the given sigma explains: then more is missing than was found.
-
-        Without a hold-out False if cross-validation refutes the verdict, else None: all rows were used for the choice.
-        """
-        if self.confirmation is not None:
-            more = self.misfit is not None and self.misfit.significant
-            return None if more and self.confirmation.confirmed else self.confirmation.confirmed
-        return False if any(test.confirmed is False for test in self.cross_validation) else None
+        """Whether the hold-out confirms the verdict; None without one, if it has too few rows, or if what is left of
+        the data is more than the given sigma explains: then more is missing than was found."""
+        answer = None if self.confirmation is None else self.confirmation.confirmed
+        return None if answer and self.misfit is not None and self.misfit.significant else answer
 
     def extended_arm(self, candidate: Candidate | None = None) -> Arm:
         """The arm with the effects of the predicting model (or of `candidate`) added, calibrated by it: all estimates,

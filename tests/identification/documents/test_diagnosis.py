@@ -18,6 +18,7 @@ from identification.documents.diagnosis import (
     effects_in_words,
     gap_in_words,
     gap_parts,
+    refuted,
 )
 from identification.effects import library
 from tests.identification.estimation.cases import tip
@@ -25,6 +26,7 @@ from tests.identification.estimation.cases import tip
 GAP = {"rms_before_mm": 0.5, "rms_after_mm": 0.125}
 TEST = {"rows": 30, "before_mm": 0.6, "after_mm": 0.25, "predicted_mm": 0.2}
 RIPPLE, PLAY = "transmission_ripple:2", "gear play, by direction of approach (backlash:2)"
+LEFT_OUT = {"cross_validation": [{"confirmed": False}]}
 LENGTHS = np.array([300.0, 200.0])
 PLACE = "Something that the library does not have is missing, at joint 3."
 
@@ -37,6 +39,7 @@ def said(verdict: str, *effects: str, confirmed: bool | None = None, sets: int =
     return found | {
         "confirmed": confirmed,
         "confirmation": None if confirmed is None else {**TEST, "confirmed": confirmed},
+        "cross_validation": [],
     }
 
 
@@ -66,7 +69,7 @@ def test_effects_are_said_in_words_with_their_names(labels: list[str], words: st
         (said("named", "backlash:2", confirmed=True), f"Missing from the model: {PLAY}", "--out extended.toml"),
         (said("named", "backlash:2"), f"Missing from the model: {PLAY}", "--holdout other.csv"),
         (said("named", "backlash:2", confirmed=False), "Not confirmed on rows that no fit has seen. Missing", ""),
-        (said("named", "backlash:2") | {"confirmed": False}, "Not confirmed on rows left out in cross-validation.", ""),
+        (said("named", "backlash:2") | LEFT_OUT, "Not confirmed on rows left out in cross-validation.", ""),
         (
             said("ambiguous", "backlash:2", "axes_skew", sets=2),
             "2 explanations remain, the most likely with probability 0.40.",
@@ -89,7 +92,7 @@ def test_a_verdict_comes_with_what_follows_from_it(data: dict[str, Any], first: 
     figures = "leaves 0.125 mm RMS of the data" if data["verdict"] == "none" else figures
     assert figures in gap
     assert command in diagnosis_actions(data)[0].command
-    if data["confirmed"] is False:
+    if refuted(data):
         assert not any("compensate" in action.command for action in diagnosis_actions(data))
 
 

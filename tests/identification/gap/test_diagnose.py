@@ -255,7 +255,8 @@ def test_a_holdout_of_another_arm_is_refused() -> None:
     assert turned.confirmation is not None
     assert turned.confirmation.refitted == ("base",)
     bumped = fresh.positions + 50.0 * (np.arange(30) < 5)[:, None]  # a few outliers are not another arm
-    assert diagnose(ARM, data, replace(fresh, positions=bumped)).confirmed is False
+    refuted = diagnose(ARM, data, replace(fresh, positions=bumped))
+    assert (refuted.confirmed, replace(refuted, confirmation=None).confirmed) == (False, None)
 
 
 def test_an_estimate_at_its_bound_has_an_interval() -> None:
