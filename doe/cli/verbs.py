@@ -691,8 +691,7 @@ def demo_files(
     spatial : Six axes and a laser tracker instead of the paper's 4-link arm.
     out : Directory for the files.
     """
-    from doe.demo.run import demo_document, overview_figure, planar, run_demo
-    from doe.demo.run import spatial as six_axes
+    from doe.demo.run import PLANAR, SIX_AXES, demo_document, overview_figure, run_demo
 
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -701,7 +700,7 @@ def demo_files(
     except OSError as error:  # a file, a name that is too long, links that lead in a circle, no right to write
         raise InputError(f"{out}: cannot be created ({error.strerror}), allowed: a writable place") from None
     with interruptible(f"; the files in {out} are whole, but not all there"):
-        demo = run_demo(out, six_axes() if spatial else planar(), seed, progress, force)
+        demo = run_demo(out, SIX_AXES if spatial else PLANAR, seed, progress)
         document, picture = demo_document(demo), overview_figure(demo)
         text = page(document, [out / name for name in demo.data["files"]])
         write_together({out / "overview.png": picture, out / "report.html": text}, force=True)
