@@ -235,7 +235,7 @@ def check_limits(lower: Array, upper: Array, joint_types: Sequence[str]) -> None
         raise InputError(f"joint_limits_{unit}: {order}, allowed: lower < upper")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Arm(ByValue):
     """An arm of n joints."""
 
@@ -290,6 +290,11 @@ class Arm(ByValue):
         check_kinds(counting, chain.joint_types)
         for field_name, value in ({"chain": chain, "gear_ratios": ratios, "counting": counting} | limits).items():
             object.__setattr__(self, field_name, value)
+
+    def __repr__(self) -> str:
+        """In one line: its fields are pages of matrices."""
+        more = [*(spec.key for spec in self.effects), *(["calibrated"] if self.calibration else [])]
+        return f"Arm({', '.join([self.name, f'{self.links} joints, reach {self.reach:.6g} mm', *more])})"
 
     @cached_property
     def links(self) -> int:

@@ -188,6 +188,9 @@ def design_files(
         if loaded.cell is None:
             lacks = "found for an arm without bodies, allowed: with [cell] or bodies in its URDF file"
             raise InputError(f"--clearance-mm: {lacks}")
+        if clearance_mm < loaded.cell.clearance:
+            kept = f"clearance_mm = {loaded.cell.clearance:g} of [cell], which check, score and program keep"
+            warnings.warn(f"--clearance-mm: {clearance_mm:g} is less than {kept}; write it there, too", stacklevel=2)
         loaded = replace(loaded, cell=replace(loaded.cell, clearance=clearance_mm))
     if approach != "any" and loaded.chain.instrument.contact:
         raise InputError(f"--approach: found {approach} for contacts, allowed: any, as what is touched is in the way")

@@ -110,6 +110,8 @@ def solve(
     Ctrl-C returns the best plan so far, status `interrupted`. Raises `InputError` for too few runs, an unknown name.
     """
     began = perf_counter()
+    if not isinstance(problem, DesignProblem):
+        raise InputError(f"problem: found {type(problem).__name__}, allowed: a DesignProblem, as DesignProblem.of(arm)")
     if isinstance(solver, str):
         if solver not in available_solvers():
             raise InputError.unknown("solver: unknown name", solver, available_solvers())

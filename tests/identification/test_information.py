@@ -174,6 +174,7 @@ def test_copies_and_pickles(again: Callable[[Any], Any]) -> None:
     for make, _ in CASES:
         assert again(make()) == make()
     truth = Arm([200.0, 100.0], sigma=0.1)
+    assert str(truth) == "Arm(arm, 2 joints, reach 300 mm)"
     data = simulate(truth, np.random.default_rng(1).uniform(-2.0, 2.0, (9, 2)), np.random.default_rng(2))
     found = estimate(Model(truth), data)
     copied = again(found)

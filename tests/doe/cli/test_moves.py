@@ -144,7 +144,8 @@ def test_what_is_said_without_moves_and_what_is_refused(folder: Folder) -> None:
 def test_another_clearance(cell: Folder) -> None:
     """`--clearance-mm` prevails over `[cell]`, also to nothing; a plan for more room keeps it."""
     cell.said(f"{DESIGN} --clearance-mm 60 --out wide.csv")
-    cell.said(f"{DESIGN} --out narrow.csv")
+    narrower = cell.armcal(*f"{DESIGN} --clearance-mm 9 --out narrow.csv".split())
+    assert "9 is less than clearance_mm = 10 of [cell], which check, score and program keep" in narrower.err
     cell.write("wide.toml", cell.read("arm.toml").replace("clearance_mm = 10.0", "clearance_mm = 60.0"))
     constraints = constraints_of(Model(load_arm("wide.toml")))
     wide, narrow = (

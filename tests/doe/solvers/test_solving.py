@@ -41,6 +41,8 @@ def test_bad_input() -> None:
     for runs in (8.0, "8", None, True):
         with pytest.raises(InputError, match=r"runs: .*allowed: a whole number"):
             solve(problem(FOUR), runs)
+    with pytest.raises(InputError, match=r"found Arm, allowed: a DesignProblem"):
+        solve(FOUR, 8)  # type: ignore[arg-type]
     with pytest.raises(InputError, match="did you mean 'ipopt'"):
         solve(problem(FIVE), 8, "ipot")
 
