@@ -1,7 +1,6 @@
 """Exact solvers, and `solve`, the only entry point to them."""
 
 from doe.solvers.exchange import Exchange
-from doe.solvers.ipopt import Ipopt
 from doe.solvers.planar_theory import Analytic
 from doe.solvers.solver import Offer, Solver
 from doe.solvers.solving import SOLVERS, Random, available_solvers, solve
@@ -10,7 +9,6 @@ __all__ = [
     "SOLVERS",
     "Analytic",
     "Exchange",
-    "Ipopt",
     "Offer",
     "Random",
     "Solver",
