@@ -41,37 +41,32 @@ class WorkspaceBox:
 
 
 @dataclass(frozen=True)
-class KeepOutCircle:
-    """Every link stays outside the circle, in space the sphere [mm]."""
+class KeepOut:
+    """Every link stays outside a circle, in space a sphere, or a cylinder with round ends [mm]: half a ball is on each.
 
-    kind: ClassVar[str] = "keep_out_circle"
+    start : (2,) or (3,) the center, or that of one end;  end : of the other, of a cylinder
+    """
+
     forbidden: ClassVar[bool] = True
-    center: tuple[float, ...]
+    start: tuple[float, ...]
     radius: float
-    axis = property(lambda self: (self.center, self.center))
+    end: tuple[float, ...] | None = None
+    axis = property(lambda self: (self.start, self.end or self.start))
+
+    @property
+    def kind(self) -> str:
+        """The word in arm files."""
+        return f"keep_out_{'cylinder' if self.end else 'sphere' if len(self.start) == len('xyz') else 'circle'}"
 
     def outlines(self, dimension: int) -> list[Array]:
-        """The circle (k, 2), or three of the sphere (k, 3)."""
-        axes = np.eye(3) if dimension == len("xyz") else np.eye(3)[2:]
-        return [np.array(self.center) + self.radius * ring(axis)[:, :dimension] for axis in axes]
-
-
-@dataclass(frozen=True)
-class KeepOutCylinder:
-    """Every link stays outside a cylinder with round ends [mm]: half a ball is on each."""
-
-    kind: ClassVar[str] = "keep_out_cylinder"
-    forbidden: ClassVar[bool] = True
-    start: tuple[float, float, float]
-    end: tuple[float, float, float]
-    radius: float
-    axis = property(lambda self: (self.start, self.end))
-
-    def outlines(self, dimension: int) -> list[Array]:
-        """Both ends (k, 3), and lines between them."""
-        ends = np.array([self.start, self.end])
-        first, last = (end + self.radius * ring(ends[1] - ends[0]) for end in ends)
-        return [first, last, *(np.array(pair) for pair in zip(first[::12], last[::12], strict=True))]
+        """The circle (k, 2), three of a sphere (k, 3), or both ends of a cylinder, and lines between them."""
+        start, end = np.array(self.axis)
+        if self.end is None:
+            axes = np.eye(3) if dimension == len("xyz") else np.eye(3)[2:]
+            return [start + self.radius * ring(axis)[:, :dimension] for axis in axes]
+        around = self.radius * ring(end - start)
+        lines = zip(start + around[::12], end + around[::12], strict=True)
+        return [start + around, end + around, *map(np.array, lines)]
 
 
 @dataclass(frozen=True)
@@ -125,7 +120,7 @@ class ColumnLimits:
         return []
 
 
-WorkspaceConstraint = ColumnLimits | WorkspaceBox | KeepOutCircle | KeepOutCylinder | LineOfSight
+WorkspaceConstraint = ColumnLimits | WorkspaceBox | KeepOut | LineOfSight
 
 
 class PostureCondition(Protocol):

@@ -195,8 +195,7 @@ def _in_view(model: Offers, sight: Any, q: ca.SX) -> ca.SX:
 KINDS: dict[str, Callable[..., ca.SX]] = {
     "joint_limits": within_column,
     "workspace_box": inside_box,
-    "keep_out_circle": outside_round,
-    "keep_out_cylinder": outside_round,
+    **dict.fromkeys(("keep_out_circle", "keep_out_sphere", "keep_out_cylinder"), outside_round),
 }
 
 

@@ -33,7 +33,7 @@ from identification.kinematics.chain import BASE, STANDARD, TOOL, CorrectedGeome
 from identification.kinematics.counting import Counting
 from identification.kinematics.frames import from_angles, pose, pose_table, rotation_to_z, tool_tables
 from identification.kinematics.parameters import GEOMETRY, PRISMATIC, REVOLUTE, Parameter, by_joint
-from identification.workspace import Cell, ColumnLimits, KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox
+from identification.workspace import Cell, ColumnLimits, KeepOut, LineOfSight, WorkspaceBox
 
 if TYPE_CHECKING:
     from identification.effects import Effect
@@ -43,8 +43,8 @@ Effects: TypeAlias = "list[tuple[EffectSpec, Effect]]"
 TURN = (-np.pi, np.pi)  # limits of joints whose file gives none
 MARKER = re.compile(r"tool\[.*\]\.(r?)[xyz]")
 HEADER = re.compile(r"\[\[?\s*([\w-]+)[\w.\"' -]*\]\]?\s*(#.*)?")  # of a table
-CLASSES = {each.kind: each for each in (WorkspaceBox, KeepOutCircle, KeepOutCylinder, LineOfSight)}
-CLASSES["keep_out_sphere"] = KeepOutCircle
+CLASSES: dict[str, Any] = {each.kind: each for each in (WorkspaceBox, LineOfSight)}  # others are `KeepOut`
+RENAMED = {"range_mm": "reach", "center_mm": "start"}  # keys with other names in our classes
 
 
 # -- reading -----------------------------------------------------------------------------------------------------------
@@ -117,7 +117,7 @@ def arm_from_tables(tables: Plain, folder: PathLike = ".", package_dirs: Sequenc
         sigma=file.measurement.sigma_mm,
         name=file.name,
         gravity=gravity,
-        constraints=(*(CLASSES[table.kind](**_in_api(table)) for table in file.constraints), *tied),
+        constraints=(*(CLASSES.get(table.kind, KeepOut)(**_in_api(table)) for table in file.constraints), *tied),
         effects=tuple(spec for spec, _ in effects),
         calibration=calibration,
         gear_ratios=file.gear_ratio,
@@ -147,7 +147,7 @@ def _require_count(key: str, values: Sequence[Any] | None, count: int, whose: st
 def _in_api(table: BaseModel | None) -> Plain:
     """What a table has, by the names of our classes, several numbers as a tuple; None: nothing."""
     values: Plain = {} if table is None else table.model_dump(exclude_none=True, exclude={"kind"})
-    names = {key: "reach" if key == "range_mm" else re.sub(r"_(mm|deg|kg|m_s2)$", "", key) for key in values}
+    names = {key: RENAMED.get(key) or re.sub(r"_(mm|deg|kg|m_s2)$", "", key) for key in values}
     return {names[key]: tuple(value) if isinstance(value, list) else value for key, value in values.items()}
 
 

@@ -222,9 +222,9 @@ def commands() -> tuple[float, str]:
     from doe.problem.constraints import constraints_of
     from identification import Calibration, Model
     from identification.compensate import compensate
-    from identification.workspace import KeepOutCircle, KeepOutCylinder
+    from identification.workspace import KeepOut
 
-    more = KeepOutCylinder((700.0, 300.0, 0.0), (700.0, 300.0, 900.0), 120.0), KeepOutCircle((600, -300, 500), 150.0)
+    more = KeepOut((700.0, 300.0, 0.0), 120.0, (700.0, 300.0, 900.0)), KeepOut((600, -300, 500), 150.0)
     generator, plain = np.random.default_rng(1), six_axes()[1].model.arm
     names = [name for name in Model(plain).names if not name.startswith(("base", "tool"))]
     sizes = [0.3 if name.startswith("translation") else 1e-3 for name in names]

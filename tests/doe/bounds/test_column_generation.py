@@ -29,7 +29,7 @@ from doe.criteria import A, Criterion, D, Ds, E, I
 from doe.problem.postures import grid, listed_candidates, random_postures
 from doe.problem.problem import PriorInformation
 from identification import Arm, Array, EffectSpec, InputError, JobError, Status
-from identification.workspace import KeepOutCircle, WorkspaceBox
+from identification.workspace import KeepOut, WorkspaceBox
 from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, OFFSET, problem, random_box, regression
 from tests.doe.problem.test_constraints import ARM as WALLED
 from tests.doe.problem.test_constraints import BOX
@@ -317,7 +317,7 @@ def test_a_corner_between_walls_and_limits_is_not_missed() -> None:
     """The best posture is where a wall cuts three lower limits, of which random postures come within no degree; no
     weights on a list of postures with joints at limits exceed the bound (by 0.7 where it is missed)."""
     lower, upper = np.radians([[-10.0, -153.0, 1.0, -26.0], [49.0, 65.0, 90.0, 108.0]])
-    walls = WorkspaceBox((-333.0, 351.0), (-204.0, 624.0)), KeepOutCircle((320.0, -181.0), 49.0)
+    walls = WorkspaceBox((-333.0, 351.0), (-204.0, 624.0)), KeepOut((320.0, -181.0), 49.0)
     arm = Arm([192.0, 154.0, 141.0, 137.0], lower, upper, constraints=walls)
     case = problem(arm, EffectSpec("gear_ratio", 4), EffectSpec("encoder_second_harmonic", 4))
     anywhere = np.random.default_rng(0).uniform(lower, upper, (20_000, 4))

@@ -14,7 +14,7 @@ from doe.criteria import A, D
 from doe.plan.accuracy import missing_effects, robust_problem, with_choices, workspace
 from identification import Arm, Array, Conditions, InputError, Model, chain_of
 from identification.instruments import Tracker
-from identification.workspace import KeepOutCircle
+from identification.workspace import KeepOut
 from tests.doe.plan.test_accuracy import ARM, PLAIN, POSTURES
 from tests.doe.plan.test_accuracy import WIDE as CASE
 from tests.identification.test_sessions import TABLE_ROWS
@@ -156,7 +156,7 @@ def test_the_bound_of_a_random_list_holds_for_all_postures() -> None:
 
 def test_the_workspace_is_on_one_side_of_what_no_move_passes() -> None:
     """A post beside the base, which the first link would hit within 32 degrees; and the list that is chosen from."""
-    post = replace(ARM, constraints=(KeepOutCircle((150.0, 0.0), 80.0),))
+    post = replace(ARM, constraints=(KeepOut((150.0, 0.0), 80.0),))
     case = DesignProblem.of(Model(post))
     for postures in (workspace(case), with_choices(case).choices):
         assert np.abs(np.sign(postures[:, 0]).sum()) == len(postures) > 200

@@ -14,11 +14,11 @@ from doe.problem.constraints import LINK_RADIUS, Expression, constraints_of
 from doe.problem.postures import random_postures
 from doe.solvers import Random, solve
 from identification import Arm, Calibration, InputError, Model
-from identification.workspace import Body, Cell, KeepOutCircle, LineOfSight, WorkspaceBox
+from identification.workspace import Body, Cell, KeepOut, LineOfSight, WorkspaceBox
 from tests.doe.arms import FOUR
 
 BOX = WorkspaceBox((-400.0, 600.0), (0.0, 650.0))
-CIRCLE = KeepOutCircle((350.0, 200.0), 60.0)
+CIRCLE = KeepOut((350.0, 200.0), 60.0)
 SIGHT = LineOfSight((900.0, 300.0), np.radians(25.0), (0.0, 200.0))
 ARM = replace(FOUR, constraints=(BOX, CIRCLE, SIGHT))
 MADE = constraints_of(Model(ARM))
@@ -123,7 +123,7 @@ def test_calibrated_lengths_count() -> None:
 @pytest.mark.parametrize(
     ("constraints", "message"),
     [
-        ((BOX, KeepOutCircle((0.0, 0.0), 50.0)), r"satisfies constraint 2 \(keep_out_circle\), allowed"),
+        ((BOX, KeepOut((0.0, 0.0), 50.0)), r"satisfies constraint 2 \(keep_out_circle\), allowed"),
         (
             (WorkspaceBox((-400.0, -300.0), (0.0, 650.0)), CIRCLE, WorkspaceBox((0.0, 600.0), (0.0, 650.0))),
             r"constraint 1 \(workspace_box\) and constraint 3 \(workspace_box\) together",

@@ -13,13 +13,13 @@ from scipy.optimize import lsq_linear
 from doe.problem.constraints import LINK_RADIUS, _distance, constraints_of
 from identification import Array, Model
 from identification.instruments import Distance
-from identification.workspace import KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox
+from identification.workspace import KeepOut, LineOfSight, WorkspaceBox
 from tests.doe.six_axis import CHAIN, REFLECTOR, SIX_AXIS
 from tests.identification.kinematics.test_spatial import places_by_exponentials, tip_by_exponentials
 
 BOX = WorkspaceBox((-900.0, 1000.0), (-1000.0, 900.0), (50.0, 1200.0))
-SPHERE = KeepOutCircle((500.0, 300.0, 400.0), 250.0)
-PILLAR = KeepOutCylinder((-500.0, 400.0, 100.0), (-450.0, 500.0, 800.0), 230.0)
+SPHERE = KeepOut((500.0, 300.0, 400.0), 250.0)
+PILLAR = KeepOut((-500.0, 400.0, 100.0), 230.0, (-450.0, 500.0, 800.0))
 FACING = (0.0, 0.6, 0.8)
 SIGHT = LineOfSight(
     (2500.0, -600.0, 700.0), np.radians(20.0), (0.0, 0.0, 500.0), (2000.0, 3000.0), FACING, np.radians(70.0)
@@ -53,7 +53,7 @@ def test_the_box_has_a_floor_and_a_ceiling() -> None:
 
 def test_spheres_see_every_link() -> None:
     for posture, margin in zip(POSTURES[:50], MADE[1].margin(POSTURES[:50]), strict=True):
-        nearest = [np.linalg.norm(points - SPHERE.center, axis=1).min() - SPHERE.radius for points in links(posture)]
+        nearest = [np.linalg.norm(points - SPHERE.start, axis=1).min() - SPHERE.radius for points in links(posture)]
         np.testing.assert_allclose(margin, nearest, atol=0.8)  # points are up to 1.6 mm apart
 
 

@@ -21,13 +21,13 @@ from doe.report.design import design_facts, design_verdict, next_document, plan_
 from doe.report.figures import outlines, plan_figure, scene, side
 from identification import Arm, Conditions, Gravity, Model, Plan, design_model
 from identification.document import Document, Pictures
-from identification.workspace import Body, Cell, KeepOutCircle, LineOfSight, WorkspaceBox
+from identification.workspace import Body, Cell, KeepOut, LineOfSight, WorkspaceBox
 from tests.doe.arms import problem
 from tests.doe.problem.test_spatial_constraints import ARM as CROWDED
 from tests.doe.problem.test_spatial_constraints import PILLAR, POSTURES, SIGHT, SPHERE
 from tests.doe.six_axis import SIX_AXIS
 
-AROUND = (WorkspaceBox((-500.0, 500.0), (-400.0, 600.0)), KeepOutCircle((700.0, 0.0), 50.0))
+AROUND = (WorkspaceBox((-500.0, 500.0), (-400.0, 600.0)), KeepOut((700.0, 0.0), 50.0))
 ARM = Arm([300.0, 200.0], sigma=0.1, constraints=(*AROUND, LineOfSight((900.0, 0.0), 0.5, (0.0, 0.0))))
 
 
@@ -154,7 +154,7 @@ def test_weights_that_would_print_as_zero_are_counted() -> None:
 def test_outlines_lie_on_what_they_show() -> None:
     lines = [line for line, _ in outlines(CROWDED)]
     assert {line.shape[1] for line in lines} == {3}
-    balls = [line for line in lines if np.allclose(np.linalg.norm(line - SPHERE.center, axis=1), SPHERE.radius)]
+    balls = [line for line in lines if np.allclose(np.linalg.norm(line - SPHERE.start, axis=1), SPHERE.radius)]
     assert len(balls) == 3
     start, along = np.array(PILLAR.start), np.subtract(PILLAR.end, PILLAR.start)
     away = [np.linalg.norm(np.cross(line - start, along), axis=1) / np.linalg.norm(along) for line in lines]

@@ -13,7 +13,7 @@ from doe.problem.postures import random_postures
 from doe.solvers import Exchange, solve
 from doe.solvers.solver import Budget
 from identification import Arm, InputError
-from identification.workspace import KeepOutCircle, WorkspaceBox
+from identification.workspace import KeepOut, WorkspaceBox
 from tests.doe.arms import FOUR, OFFSET, problem
 from tests.doe.problem.test_spatial_constraints import BOX, SIGHT
 from tests.doe.six_axis import LIMITED, SIX_AXIS, difference_information, six_axis
@@ -143,7 +143,7 @@ def test_a_search_where_hardly_any_posture_is_allowed_ends_in_a_plan(monkeypatch
 def test_what_constraints_leave_need_not_be_on_a_grid(distance: float) -> None:
     """Of 81 postures on a grid of 9 levels a box leaves some of one angle of the second joint, which tell nothing."""
     limits = np.radians([[-178.4, -66.8], [91.8, 138.5]])
-    walls = (WorkspaceBox((-79.3, 280.4), (-205.6, 286.4)), KeepOutCircle((160.3, 46.8), 27.1))
+    walls = (WorkspaceBox((-79.3, 280.4), (-205.6, 286.4)), KeepOut((160.3, 46.8), 27.1))
     narrow = problem(Arm([374.3, 168.0], *limits, sigma=0.1, constraints=walls), minimum_distance=distance)
     design = solve(narrow, 6, "exchange", starts=20)
     assert narrow.feasible(design.plan.postures).all()

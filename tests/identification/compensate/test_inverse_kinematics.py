@@ -18,10 +18,10 @@ from doe.problem.constraints import constraints_of
 from identification import Arm, Calibration, Model
 from identification.compensate import TOLERANCE, compensate
 from identification.instruments import Tracker
-from identification.workspace import KeepOutCircle, WorkspaceBox
+from identification.workspace import KeepOut, WorkspaceBox
 from tests.doe.six_axis import CHAIN
 
-CIRCLE = KeepOutCircle((150.0, 120.0), 70.0)
+CIRCLE = KeepOut((150.0, 120.0), 70.0)
 TRUE = np.array([301.0, 198.0])
 OFFSETS = np.array([0.01, -0.02])
 
@@ -30,7 +30,7 @@ def clearance(joints: np.ndarray) -> np.ndarray:
     """(k,) distance of polylines (k, points) of the complex plane from the circle, by many points on each link."""
     share = np.linspace(0.0, 1.0, 2001)
     points = joints[:, :-1, None] + share * np.diff(joints, axis=1)[..., None]
-    return np.min(np.abs(points - complex(*CIRCLE.center)), axis=(1, 2)) - CIRCLE.radius
+    return np.min(np.abs(points - complex(*CIRCLE.start)), axis=(1, 2)) - CIRCLE.radius
 
 
 def chain(q: np.ndarray, lengths: np.ndarray, offsets: np.ndarray) -> np.ndarray:
@@ -89,7 +89,7 @@ LENGTHS = np.array([200.0, 150.0, 120.0])
 def test_a_target_that_a_link_bars_is_searched_for() -> None:
     """A circle on the straight way to every target, which links of most postures cross by different amounts: a target
     is reached if a fine scan of the last link's direction reaches it with a millimetre to spare."""
-    circle = KeepOutCircle((170.0, 0.0), 60.0)
+    circle = KeepOut((170.0, 0.0), 60.0)
     arm = Arm(LENGTHS, constraints=(circle,), calibration=Calibration.of(np.zeros(3), np.zeros(3)))
     generator = np.random.default_rng(2)
     targets = np.column_stack([generator.uniform(250.0, 330.0, 30), generator.uniform(-60.0, 60.0, 30)])
@@ -100,7 +100,7 @@ def test_a_target_that_a_link_bars_is_searched_for() -> None:
     assert np.count_nonzero(found.reached) > 5
 
 
-def scanned(target: np.ndarray, circle: KeepOutCircle) -> float:
+def scanned(target: np.ndarray, circle: KeepOut) -> float:
     """The largest clearance [mm] of all postures that reach the target, from 7,200 directions of the last link."""
     last = np.linspace(-np.pi, np.pi, 7200)
     wrist = complex(*target) - LENGTHS[2] * np.exp(1j * last)
@@ -112,8 +112,8 @@ def scanned(target: np.ndarray, circle: KeepOutCircle) -> float:
         joint = LENGTHS[0] * np.exp(1j * first)
         points = np.stack([np.zeros_like(joint), joint, wrist, np.full_like(joint, complex(*target))], axis=1)
         start, along = points[:, :-1], np.diff(points, axis=1)
-        share = np.clip((np.conj(along) * (complex(*circle.center) - start)).real / np.abs(along) ** 2, 0.0, 1.0)
-        best = max(best, float((np.abs(start + share * along - complex(*circle.center)).min(axis=1)).max()))
+        share = np.clip((np.conj(along) * (complex(*circle.start) - start)).real / np.abs(along) ** 2, 0.0, 1.0)
+        best = max(best, float((np.abs(start + share * along - complex(*circle.start)).min(axis=1)).max()))
     return best - circle.radius
 
 

@@ -21,7 +21,7 @@ from identification.files.urdf import read_urdf
 from identification.instruments import Distance, Instrument, PlanarDistance, Plane, Sphere
 from identification.kinematics.chain import BASE, TOOL, DHRow
 from identification.kinematics.frames import pose
-from identification.workspace import KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox
+from identification.workspace import KeepOut, LineOfSight, WorkspaceBox
 from tests.identification.kinematics.test_spatial import printed
 
 DATA = Path(__file__).parents[2] / "data"
@@ -93,7 +93,7 @@ def test_every_documented_key_is_read(tmp_path: Path) -> None:
         gravity=Gravity(readonly([0, -9.81]), readonly([12, 8, 5, 3]), readonly([0.5, 0.4, 0.5, 0.5]), 10.0),
         constraints=(
             WorkspaceBox((-400.0, 600.0), (0.0, 650.0)),
-            KeepOutCircle((350.0, 200.0), 60.0),
+            KeepOut((350.0, 200.0), 60.0),
             LineOfSight((1500.0, 300.0), 25.0 * degree, (0.0, 200.0)),
         ),
         effects=(
@@ -146,8 +146,8 @@ def test_arm_of_a_urdf_file(tmp_path: Path) -> None:
     sight = (np.radians(25.0), (0.0, 200.0, 500.0), (500.0, 5000.0), (0.0, 0.0, 1.0), np.radians(30.0))
     assert arm.constraints == (
         WorkspaceBox((-400.0, 600.0), (0.0, 650.0), (100.0, 2000.0)),
-        KeepOutCircle((350.0, 200.0, 100.0), 60.0),
-        KeepOutCylinder((350.0, 200.0, 0.0), (350.0, 200.0, 900.0), 60.0),
+        KeepOut((350.0, 200.0, 100.0), 60.0),
+        KeepOut((350.0, 200.0, 0.0), 60.0, (350.0, 200.0, 900.0)),
         LineOfSight((1500.0, 300.0, 1000.0), *sight),
     )
 
