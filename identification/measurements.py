@@ -130,47 +130,38 @@ def in_turns(postures: Array) -> Array:
     return postures / np.maximum(np.ptp(postures, axis=0) / (2.0 * np.pi), 1.0)
 
 
-def directions_from_order(postures: Array, gaps: Array | None = None) -> Array:
-    """(m, n) sign of the change from the posture before; first row +1, no change: as before. What an encoder reads
-    differently of a joint that stays, up to `SAME_POSTURE`, is no change.
+def directions_from_order(postures: Array, before: float = 1.0) -> Array:
+    """(m, n) sign of the change from the posture before; no change: as before. What an encoder reads differently of a
+    joint that stays, up to `SAME_POSTURE`, is no change.
 
-    postures : (m, n) in the order of measurement
-    gaps : (m,) rows before which measurements are missing: 0 there, until the joint moves again
+    postures : (m, n) in the order of measurement;  before : of a joint until it moves, NaN: unknown
     """
-    cut = [False] * len(postures) if gaps is None else gaps.astype(bool).tolist()
-    signs = np.ones_like(postures)
+    signs = np.empty_like(postures)
     for j, angles in enumerate(in_turns(postures).T.tolist()):
-        sign, last = 1.0, angles[0]  # where it came to: of a scan in small steps these add up
-        for row in range(1, len(angles)):
-            if cut[row]:
-                sign, last = 0.0, angles[row]
-            elif abs(angles[row] - last) > SAME_POSTURE:
-                sign, last = np.sign(angles[row] - last), angles[row]
+        sign, last = before, angles[0]  # where it came to: of a scan in small steps these add up
+        for row, angle in enumerate(angles):
+            if abs(angle - last) > SAME_POSTURE:
+                sign, last = np.sign(angle - last), angle
             signs[row, j] = sign
     return signs
 
 
-def past_from_order(postures: Array, gaps: Array | None = None) -> Array:
+def past_from_order(postures: Array) -> Array:
     """(m, n, 12) what each joint remembers when a posture is reached: turning points, the oldest first.
 
     The first is where the session began, the last the posture before; in between stand the turning points that no
     later swing has wiped out, which decide the state of hysteresis (I. D. Mayergoyz, "Mathematical models of
     hysteresis", 1991). Fewer than 12 are filled up by repeating the first; of more, the smallest swing is left out. In
-    the first row all are the posture itself, and so they are after a gap.
+    the first row all are the posture itself.
 
-    postures, gaps : as of `directions_from_order`
+    postures : (m, n) in the order of measurement
     """
-    cut = [False] * len(postures) if gaps is None else gaps.astype(bool).tolist()  # what was before is unknown
     past = np.empty((*postures.shape, REMEMBERED))
     for j, angles in enumerate(postures.T.tolist()):
-        rows, kept = list[list[float]](), angles[:1]
-        for k, angle in enumerate(angles):
-            if cut[k]:
-                kept = [angle]
-            rows.append([kept[0]] * (REMEMBERED - len(kept)) + kept)
-            if k and not cut[k]:
-                _remember(kept, angle)
-        past[:, j] = rows
+        kept = angles[:1]
+        for row, angle in enumerate(angles):
+            past[row, j] = [kept[0]] * (REMEMBERED - len(kept)) + kept
+            _remember(kept, angle)
     return past
 
 
@@ -307,8 +298,8 @@ class Measurements(ByValue):
 
     @property
     def optional_columns(self) -> frozenset[str]:
-        """Names of the optional columns the data has: those of order, sigma and so on, session and marker."""
-        return frozenset(name for name in OPTIONAL - {"gaps"} if getattr(self, name) is not None)
+        """Names of the optional fields that the data have: order, sigma and so on, session and marker."""
+        return frozenset(name for name in OPTIONAL if getattr(self, name) is not None)
 
     @property
     def sessions(self) -> tuple[str, ...]:
@@ -335,9 +326,15 @@ class Measurements(ByValue):
         return np.arange(len(self), dtype=float) if self.order is None else self.order
 
     @property
+    def _gaps(self) -> Array:
+        """(m,) `gaps`, zero where there are none."""
+        return np.zeros(len(self)) if self.gaps is None else self.gaps
+
+    @property
     def _sequences(self) -> list[NDArray[np.int64]]:
-        """Of each session its row numbers in the order of measurement."""
-        return [rows[np.argsort(self._order[rows], kind="stable")] for rows in self.session_rows]
+        """Of each session, and behind each gap in it, the row numbers in the order of measurement."""
+        ordered = (rows[np.argsort(self._order[rows], kind="stable")] for rows in self.session_rows)
+        return [part for rows in ordered for part in np.split(rows, np.flatnonzero(self._gaps[rows])) if len(part)]
 
     @property
     def sequence(self) -> NDArray[np.int64]:
@@ -407,25 +404,23 @@ class Measurements(ByValue):
 
     @cached_property
     def _directions(self) -> Array:
-        """(m, n) +1 or -1, NaN: unknown."""
+        """(m, n) +1 or -1, NaN: unknown, as behind a gap until the joint moves."""
         if self.directions is not None:
             return self.directions
-        directions = self._by_order(directions_from_order, self.postures.shape)
-        return np.where(directions == 0.0, np.nan, directions)
+        directions = np.empty(self.postures.shape)
+        for rows in self._sequences:
+            directions[rows] = directions_from_order(self.postures[rows], np.nan if self._gaps[rows[0]] else 1.0)
+        return directions
 
     @cached_property
     def _past(self) -> Array:
-        """(m, n, 12) see `past_from_order`."""
+        """(m, n, 12) see `past_from_order`; what was before a gap is unknown."""
         if self.past is not None:
             return self.past
-        return self._by_order(past_from_order, (*self.postures.shape, REMEMBERED))
-
-    def _by_order(self, function: Callable[..., Array], shape: tuple[int, ...]) -> Array:
-        """What follows from the order, in each session."""
-        by_row = np.empty(shape)
+        past = np.empty((*self.postures.shape, REMEMBERED))
         for rows in self._sequences:
-            by_row[rows] = function(self.postures[rows], None if self.gaps is None else self.gaps[rows])
-        return by_row
+            past[rows] = past_from_order(self.postures[rows])
+        return past
 
     @property
     def origin(self) -> dict[str, Any]:
@@ -470,20 +465,17 @@ def pooled_sessions(tables: Mapping[str, Measurements]) -> Measurements:
         if (part.links, part.dimension) != (first.links, first.dimension):
             counted = f"found {part.links} joints and {part.dimension} coordinates"
             raise InputError(f"{name}: {counted}, allowed: {first.links} and {first.dimension} as in the other data")
-    for name in ("order", "directions"):  # of tables without them they follow from the rows
+    following = {"order": "_order", "directions": "_directions", "gaps": "_gaps", "repeats": "posture_numbers"}
+    for name, source in following.items():  # of tables without them they follow from the rows
         if any(getattr(part, name) is not None for part in parts):
-            parts = [replace(part, **{name: getattr(part, f"_{name}")}) for part in parts]
+            parts = [replace(part, **{name: getattr(part, source)}) for part in parts]
     columns_of_all = frozenset.intersection(*(part.optional_columns for part in parts))
     if missing := sorted(frozenset.union(*(part.optional_columns for part in parts)) - columns_of_all):
         warnings.warn(f"not in all of the data, and left out: {', '.join(missing)}", UserWarning, stacklevel=2)
     columns = {name: [getattr(part, name) for part in parts] for name in ("postures", "positions", *columns_of_all)}
-    if "repeats" in columns_of_all:
-        # numbered such that no two tables share one
-        ends = np.cumsum([0, *(int(np.ptp(repeats)) + 1 for repeats in columns["repeats"])])
-        starts = zip(columns["repeats"], ends, strict=False)
-        columns["repeats"] = [repeats - repeats.min() + start for repeats, start in starts]
-    if any(part.gaps is not None for part in parts):
-        columns["gaps"] = [np.zeros(len(part)) if part.gaps is None else part.gaps for part in parts]
+    if "repeats" in columns:  # such that no two tables share a number
+        ends = np.cumsum([0, *map(len, parts)])
+        columns["repeats"] = [numbers + end for numbers, end in zip(columns["repeats"], ends, strict=False)]
     joined: dict[str, Any] = {name: np.concatenate(values) for name, values in columns.items()}
     origins = {key: [str(p.provenance[key]) for p in parts if key in p.provenance] for key in ("file", "sha256")}
     provenance: dict[str, Any] = {"file": ", ".join(origins["file"])} if origins["file"] else {}

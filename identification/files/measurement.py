@@ -397,8 +397,7 @@ class Plan(ByValue):
         columns |= posture_columns(self.postures, types)
         if not measured.all():
             shown = counting_in(types, self.links).columns(self.postures)
-            signs = directions_from_order(np.round(shown, 9))  # a joint that stays does so
-            signs = np.where((signs == 0.0) | ~measured[:, None], np.nan, signs)
+            signs = np.where(measured[:, None], directions_from_order(np.round(shown, 9)), np.nan)
             columns |= {f"direction{j}": column for j, column in enumerate(signs.T, start=1)}
         for name, values in (further or {}).items():
             column = np.asarray(values)
