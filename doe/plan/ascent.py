@@ -46,8 +46,9 @@ class PlanAscent:
         slopes *= 2.0 * runs / k / (runs + self.problem.prior.runs)
         if self.firmness == 0.0:
             return value, slopes
-        forces = self.firmness * np.maximum(0.0, INSIDE - self.problem.walls.values(plan) / self.problem.steepness)
-        slopes += self.problem.walls.slope(plan, forces / self.problem.steepness)
+        margins, steps = self.problem.walls.first(plan)
+        forces = self.firmness * np.maximum(0.0, INSIDE - margins / self.problem.steepness)
+        slopes += (steps @ (forces / self.problem.steepness)[..., None])[..., 0]
         return value - float(np.sum(forces**2)) / (2.0 * self.firmness), slopes
 
     def __call__(self, plan: Array, tolerance: float | None = None, stop: Stop = never) -> Array:

@@ -250,12 +250,8 @@ class Clearance:
         """(m, k) margins and their derivatives (m, n, k) by the joints."""
         return self.margin(postures), self._slopes(postures, self._seen(postures)[1])
 
-    def slope(self, postures: Array, weights: Array) -> Array:
-        """(m, n) gradients of the sums with weights (m, k)."""
-        return (self._slopes(postures, self._seen(postures)[1]) @ weights[:, :, None])[..., 0]
-
     def bend(self, postures: Array, weights: Array) -> Array:
-        """(m, n, n) Hessians of the sums: differences of the gradients of the same pieces."""
+        """(m, n, n) Hessians of the sums with weights (m, k): differences of the gradients of the same pieces."""
         steps, nearest = 1e-4 * np.eye(postures.shape[1]), self._seen(postures)[1]
         ahead, behind = (
             np.stack([self._slopes(postures + step, nearest) for step in sign * steps], axis=1) for sign in (1.0, -1.0)

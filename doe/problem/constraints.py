@@ -7,7 +7,7 @@ in CasADi, for which links are thin and run from joint to joint; those of bodies
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import pairwise
 from typing import Any
@@ -105,17 +105,10 @@ class Walls(tuple[Constraint, ...]):
         values, slopes = zip(none, *(each.first(postures) for each in self), strict=True)
         return np.concatenate(values, axis=1), np.concatenate(slopes, axis=2)
 
-    def slope(self, postures: Array, weights: Array) -> Array:
-        """(m, n) gradients of the sums of margins with weights (m, k)."""
-        return np.sum([each.slope(postures, part) for each, part in self._weighted(weights)], axis=0)
-
     def bend(self, postures: Array, weights: Array) -> Array:
         """(m, n, n) Hessians of the sums of margins with weights (m, k)."""
-        return np.sum([each.bend(postures, part) for each, part in self._weighted(weights)], axis=0)
-
-    def _weighted(self, weights: Array) -> Iterator[tuple[Constraint, Array]]:
-        ends = np.cumsum([each.count for each in self], dtype=int)
-        return zip(self, np.split(weights, ends, axis=1)[:-1], strict=True)
+        parts = np.split(weights, np.cumsum([each.count for each in self], dtype=int), axis=1)
+        return np.sum([each.bend(postures, part) for each, part in zip(self, parts, strict=False)], axis=0)
 
 
 def constraints_of(model: Any) -> tuple[Constraint, ...]:
