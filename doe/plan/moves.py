@@ -36,7 +36,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from doe.plan.spacing import values_with, with_room
+from doe.plan.spacing import best_beside
 from doe.problem.clearance import ROUNDING, SIGHT, Clearance
 from doe.problem.constraints import KINDS, Constraint
 from doe.problem.model import joint_units, turns
@@ -425,8 +425,7 @@ def replaced(
     for row in lost:
         others, listed = np.delete(postures, row, axis=0), problem.choices
         drawn = random_postures(problem, 200, generator) if listed is None else generator.permutation(listed)[:200]
-        drawn = with_room(problem, turn(drawn), np.concatenate([others, problem.kept]))
-        for posture in drawn[np.argsort(-values_with(problem, others, drawn), kind="stable")] if len(drawn) else drawn:
+        for posture in best_beside(problem, others, turn(drawn)):
             nearest = postures[kept[np.argsort(room.travel(posture, postures[kept]))[:10]]]
             if not len(kept) or room.free(np.broadcast_to(posture, nearest.shape), nearest).any():
                 postures[row], kept = posture, np.append(kept, row)

@@ -65,19 +65,17 @@ def too_near(problem: DesignProblem, postures: Array) -> NDArray[np.intp]:
     return crowded[crowded >= len(problem.kept)] - len(problem.kept)
 
 
-def with_room(problem: DesignProblem, places: Array, others: Array) -> Array:
-    """Those of the places (k, n) that are feasible and no repeat of one of the `others` (j, n)."""
+def best_beside(problem: DesignProblem, plan: Array, places: Array) -> Array:
+    """(j, n) those of the places (k, n) that are feasible and repeat no run of a plan (m, n), nor what was measured
+    already; the one that adds most to the criterion comes first."""
     distance = min(problem.minimum_distance / ROUNDING, np.inf if problem.choices is None else 1e-300)
-    places = places[(gaps(problem, places, others) >= distance).all(axis=1)]
-    return places[problem.feasible(places)]
-
-
-def values_with(problem: DesignProblem, plan: Array, places: Array) -> Array:
-    """(k,) criterion values of a plan (m, n) with each of the places (k, n) beside it, but for a number of the plan."""
+    places = places[(gaps(problem, places, np.concatenate([plan, problem.kept])) >= distance).all(axis=1)]
+    places = places[problem.feasible(places)]
     runs = len(plan) + problem.prior.runs + 1.0
     information = (information_matrix(problem.scaled_jacobians(plan)) + problem.prior.total) / runs
     offered = problem.scaled_jacobians(places) / np.sqrt(runs)
-    return problem.criterion.smooth.values_after_adding(information[None], offered[None])[0]
+    values = problem.criterion.smooth.values_after_adding(information[None], offered[None])[0]
+    return places[np.argsort(-values, kind="stable")]
 
 
 def separated(problem: DesignProblem, postures: Array) -> Array:
@@ -88,11 +86,10 @@ def separated(problem: DesignProblem, postures: Array) -> Array:
     two = (steps[:, None] + steps).reshape(-1, problem.joints)
     steps = np.concatenate([steps, two[np.count_nonzero(two, axis=1) == 2]])
     for row in crowded if len(crowded) <= 2000 else ():
-        others = np.delete(plan, row, axis=0)
         around = plan[row] + steps
         around = around[np.all((around >= problem.lower) & (around <= problem.upper), axis=1)]
-        if len(places := with_room(problem, around, np.vstack([others, problem.kept]))):
-            plan[row] = places[np.argmax(values_with(problem, others, places))]
+        if len(places := best_beside(problem, np.delete(plan, row, axis=0), around)):
+            plan[row] = places[0]
     return plan
 
 
@@ -115,12 +112,6 @@ def spread_free_joints(problem: DesignProblem, postures: Array, generator: Gener
 
 def with_additions(problem: DesignProblem, plan: Array, count: int, generator: Generator) -> Array | None:
     """(m + count, n) the plan (m, n) and, one by one, the postures that add most; None where none more is allowed."""
-
-    def best(places: Array) -> Array | None:
-        """(n,) the place that the plan gains most by; None where none is allowed beside the plan's postures."""
-        places = with_room(problem, places, np.concatenate([longer, problem.kept]))
-        return np.asarray(places[np.argmax(values_with(problem, longer, places))]) if len(places) else None
-
     longer, listed = np.array(plan), problem.choices
     if listed is not None:
         places = listed_candidates(problem, listed)
@@ -128,13 +119,12 @@ def with_additions(problem: DesignProblem, plan: Array, count: int, generator: G
         anywhere = random_postures(problem, 2000, generator)
         places = half_at_limits(problem, anywhere, anywhere[:1000], generator)
     for _ in range(count):
-        if (posture := best(places)) is None:
+        if not len(best := best_beside(problem, longer, places)[:1]):
             return None
         # random postures around the best, at ever smaller parts of half the range of each joint
         for step in 0.3 * 0.3 ** np.arange(8) if listed is None else ():
             moves = step * generator.standard_normal((64, problem.joints))
-            near = problem.clip(posture + moves * 0.5 * (problem.upper - problem.lower))
-            better = best(np.concatenate([posture[None], near]))
-            posture = posture if better is None else better
-        longer = np.concatenate([longer, posture[None]])
+            near = problem.clip(best + moves * 0.5 * (problem.upper - problem.lower))
+            best = best_beside(problem, longer, np.concatenate([best, near]))[:1]
+        longer = np.concatenate([longer, best])
     return longer
