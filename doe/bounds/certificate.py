@@ -91,7 +91,7 @@ class ApproximateDesign:
     candidates : how many postures the design space has, None: all within limits and constraints
     unconstrained : as of `Bound`
     rigorous : whether `largest` is a theorem
-    status : how the solver ended;  solver_status : as the solver names it
+    status : how the search ended, by the gap that is left
     """
 
     problem: DesignProblem
@@ -102,7 +102,6 @@ class ApproximateDesign:
     candidates: int | None = None
     rigorous: bool = False
     status: Status = Status.almost_solved
-    solver_status: str = ""
     solver: str = "column_generation"
     seconds: float = 0.0
     unconstrained: bool = False
@@ -121,13 +120,10 @@ class ApproximateDesign:
 
         goal : relative gap that counts as solved;  cut : whether time ended the search
         """
-        status, words = Status.time_limit if cut else Status.almost_solved, "gap not reached"
         # a mean is no larger than the largest: a gap below zero is rounding in a matrix that is nearly singular
-        if -1e-8 <= largest - self.level <= goal * abs(self.level):
-            status, words = Status.converged, "gap reached"
-        elif np.isinf(largest):
-            words = "no bound: no time to visit every candidate"
-        return replace(self, largest=largest, status=status, solver_status=words, **changes)
+        solved = -1e-8 <= largest - self.level <= goal * abs(self.level)
+        status = Status.converged if solved else Status.time_limit if cut else Status.almost_solved
+        return replace(self, largest=largest, status=status, **changes)
 
     @cached_property
     def information(self) -> Array:
@@ -209,7 +205,6 @@ class ApproximateDesign:
             **({"joint_units": list(self.plan.units)} if prismatic else {}),
             "solver": self.solver,
             "status": self.status.name,
-            "solver_status": self.solver_status,
             "seconds": self.seconds,
         }
 

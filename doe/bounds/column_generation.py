@@ -35,7 +35,7 @@ from doe.plan.ascent import PlanAscent
 from doe.problem.constraints import Derivatives
 from doe.problem.postures import grid, listed_candidates, put_inside, random_postures, some_of
 from doe.problem.problem import DesignProblem, PriorInformation, Stop, information_of_each, never
-from identification import Array, InputError, JobError, Status, newton_ascent
+from identification import Array, InputError, JobError, newton_ascent
 
 # (p, p) gradient, tr(G M), and (k, n) postures in the working set -> postures to add (j, n), best first, and the
 # largest sensitivity of all that was visited; with the gap (relative) up to which it need not be asked again
@@ -374,23 +374,14 @@ def relax(
             raise InputError(f"candidates: {len(chosen)} for solver {solver}, allowed: {allowed}; {larger}")
         began, prior = perf_counter(), problem.prior.per_new_run(runs)
         each = prior.information(information_of_each(problem.scaled_jacobians(chosen)))
-        weights, solver_status, dual = solve_program(each, problem.criterion, solver)
+        weights, ended, dual = solve_program(each, problem.criterion, solver)
         if weights is None:
-            raise JobError(f"{solver}: status {solver_status} on {len(chosen)} candidates, no weights; {larger}")
-        statuses = {"optimal": Status.converged, "optimal_inaccurate": Status.almost_solved}
-        statuses["user_limit"] = Status.iteration_limit
+            raise JobError(f"{solver}: status {ended} on {len(chosen)} candidates, no weights; {larger}")
         carried = np.where(weights > 1e-7, weights, 0.0)  # interior points give every posture a little
         design = ApproximateDesign.heaviest_first(problem, prior, chosen, carried, dual)
-        return replace(
-            design,
-            largest=float(CandidateSet(problem, chosen, prior).sensitivities(design.gradient).max()),
-            candidates=len(chosen),
-            rigorous=True,
-            status=statuses.get(solver_status, Status.solver_failed),
-            solver=solver,
-            solver_status=solver_status,
-            seconds=perf_counter() - began,
-        )
+        largest = float(CandidateSet(problem, chosen, prior).sensitivities(design.gradient).max())
+        which = {"candidates": len(chosen), "rigorous": True, "solver": solver}
+        return design.certified(largest, 1e-3, cut=False, seconds=perf_counter() - began, **which)
     except np.linalg.LinAlgError:
         singular = "the candidates' information is singular to rounding; wider joint limits or fewer effects may help"
         raise JobError(f"{solver}: {singular}") from None
