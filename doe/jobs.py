@@ -21,7 +21,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
@@ -209,21 +209,15 @@ def one_line(error: BaseException | None) -> str:
 
 
 # -- workers -----------------------------------------------------------------------------------------------------------
-@contextmanager
-def executor_of(workers: Workers) -> Iterator[tuple[Executor, int]]:
+def executor_of(workers: Workers) -> AbstractContextManager[tuple[Executor, int]]:
     """What runs tasks, and how many at once. Raises `InputError` if no cluster answers."""
     if isinstance(workers, str):
-        with cluster(workers) as connected:
-            yield connected
-    elif workers > 1:
-        with _pool(workers) as pool:
-            yield pool, workers
-    else:
-        yield _Serial(), 1
+        return cluster(workers)
+    return _pool(workers) if workers > 1 else nullcontext((_Serial(), 1))
 
 
 @contextmanager
-def _pool(number: int) -> Iterator[Executor]:
+def _pool(number: int) -> Iterator[tuple[Executor, int]]:
     """Processes of our own, by loky (joblib): it starts an ordinary Python, so it works from anywhere (a notebook, a
     dask worker), and what hangs or crashes there stops nothing here. Killed at the end: after Ctrl-C nobody waits."""
     from joblib.externals.loky import ProcessPoolExecutor
@@ -251,7 +245,7 @@ def _pool(number: int) -> Iterator[Executor]:
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
     try:
-        yield pool
+        yield pool, number
     finally:
         pool.shutdown(kill_workers=True)
 
@@ -309,7 +303,7 @@ def call(function: Callable[..., Any], *arguments: Any, seconds: float) -> Any:
         return function(*arguments)
 
     limit = 60.0  # to start and import, which is not part of the limit on the call itself
-    with _pool(1) as process:
+    with _pool(1) as (process, _):
         try:
             process.submit(id, function).result(limit)  # its module is imported by now
             limit = seconds
