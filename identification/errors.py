@@ -24,8 +24,8 @@ class InputError(ArmcalError):
 
     @classmethod
     def unknown(cls, what: str, name: str, allowed: Iterable[str]) -> Self:
-        """Of a name that is not allowed: `solver: unknown name 'rando', did you mean 'random'? allowed: ...`;  what :
-        the place, and what the name is there"""
+        """Of a name that is not allowed: `solver: unknown name 'ipot', did you mean 'ipopt'? allowed: ...`;  what : the
+        place, and what the name is there"""
         return cls(f"{what} {name!r}, {nearest(name, allowed)}")
 
 

@@ -419,7 +419,7 @@ def relax_files(
     return with_collisions(answer, problem, relaxation.plan.postures)
 
 
-@VERBS.declare("armcal compare arm.toml --runs 10,20 --solvers exchange,gradient --out runs")
+@VERBS.declare("armcal compare arm.toml --runs 10,20 --solvers exchange,ipopt --out runs")
 def compare_files(
     arms: Annotated[tuple[Path, ...], "ARM..."],
     *,

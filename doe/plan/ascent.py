@@ -31,8 +31,6 @@ class PlanAscent:
         self.joints = list(problem.searched_joints)
         self.derivatives = problem.jacobian_derivatives(self.joints)
         self.firmness = 0.0
-        # tolerance of a search whose starts lead to few plans: it tells by the last digits whether they agree
-        self.last_digits = None if problem.many_parameters or problem.constraints else 1e-11
 
     def rise(self, plan: Array) -> tuple[float, Array]:
         """Value and slopes (k, a) by the joints that matter; -inf and zero where M is singular."""

@@ -1,6 +1,7 @@
 """Exact solvers, and `solve`, the only entry point to them."""
 
 from doe.solvers.exchange import Exchange
+from doe.solvers.ipopt import Ipopt
 from doe.solvers.planar_theory import Analytic
 from doe.solvers.solver import Offer, Solver
 from doe.solvers.solving import SOLVERS, Random, available_solvers, solve
@@ -9,6 +10,7 @@ __all__ = [
     "SOLVERS",
     "Analytic",
     "Exchange",
+    "Ipopt",
     "Offer",
     "Random",
     "Solver",

@@ -57,6 +57,8 @@ class Exchange:
         than runs."""
         choices, many, left = problem.choices, problem.many_parameters, budget.starts
         climb = PlanAscent(problem) if self.climb and choices is None else None
+        # where few starts lead to the best plan, its last digits tell whether others agree
+        accuracy = None if many or problem.constraints else 1e-11
         repeats = problem.minimum_distance == 0.0
         seen, climbed = list[float](), list[Array]()
         if choices is not None:
@@ -95,7 +97,7 @@ class Exchange:
                 # of those with one value, which are one plan up to symmetry, the first; so many of a batch
                 if np.isfinite(value) and all(abs(value - other) > 1e-7 for other in seen) and len(seen) < before + 5:
                     seen.append(value)
-                    climbed.append(climb(plan, climb.last_digits, budget.ended))
+                    climbed.append(climb(plan, accuracy, budget.ended))
                     yield Offer(climbed[-1], independent=True)
             yield Offer(plans[0], count - 1)
 

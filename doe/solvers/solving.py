@@ -27,6 +27,7 @@ from doe.plan.spacing import allowed_value, places_of_free_joint, separated, spr
 from doe.problem.postures import listed_candidates, random_postures
 from doe.problem.problem import DesignProblem
 from doe.solvers.exchange import Exchange
+from doe.solvers.ipopt import Ipopt
 from doe.solvers.planar_theory import Analytic, optimal_plans
 from doe.solvers.solver import LONG_PLAN, LONG_PLAN_SECONDS, Budget, Offer, Solver
 from identification import Array, InputError, JobError, Plan, Progress, Status, additions
@@ -38,13 +39,9 @@ NEUTRAL = "under one payload, temperature, time and approach no posture distingu
 # -- solvers by name ---------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Random:
-    """Plans uniform within the joint limits, the best of `count`. One: common practice, to compare with.
-
-    climb : True: each is climbed from on gradients
-    """
+    """Plans uniform within the joint limits, the best of `count`. One: common practice, to compare with."""
 
     count: int = 1
-    climb: bool = False
     name: str = "random"
 
     def starts_for(self, problem: DesignProblem) -> int:
@@ -52,19 +49,15 @@ class Random:
         return self.count
 
     def offers(self, problem: DesignProblem, runs: int, generator: Generator, budget: Budget) -> Iterator[Offer]:
-        """One random plan per start, or where that one leads."""
-        climb = PlanAscent(problem) if self.climb else None
+        """One random plan per start."""
         while True:
-            plan = random_postures(problem, runs, generator)
-            yield Offer(plan, 1 if climb is None else 0)
-            if climb is not None:
-                yield Offer(climb(plan, climb.last_digits, budget.ended), 1, independent=True)
+            yield Offer(random_postures(problem, runs, generator), 1)
 
 
 SOLVERS: dict[str, Solver] = {
     "analytic": Analytic(),
     "exchange": Exchange(),
-    "gradient": Random(count=60, climb=True, name="gradient"),
+    "ipopt": Ipopt(),
     "random": Random(),
     "best_of_random": Random(count=1000, name="best_of_random"),
 }

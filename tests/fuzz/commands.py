@@ -20,7 +20,7 @@ VALUES = {
     "compare.runs": "8 12 3",
     "relax.runs": "12 20",
     "discriminate.runs": "2 4",
-    "solver": "exchange random gradient analytic none",
+    "solver": "exchange random ipopt analytic none",
     "relax.solver": "column_generation clarabel none",
     "solvers": "random exchange,random none",
     "criterion": "D A E I Ds Dstar d",

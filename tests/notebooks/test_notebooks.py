@@ -35,7 +35,7 @@ SMALLER = {  # notebook -> what the reader sees, and what runs instead of it
         ("range(11)", "(0, 3, 9, 10)"),
     ],
     "4": [
-        ('"exchange", "gradient", "best_of_random", "random"]', '"exchange", "random"]'),
+        ('"exchange", "ipopt", "best_of_random", "random"]', '"exchange", "random"]'),
         ("len(rows) == 8", "len(rows) == 4"),
         ("repeats=1,", "repeats=1, starts=[60],"),
     ],

@@ -136,7 +136,7 @@ def test_repeats_are_moved_apart_at_little_loss() -> None:
     np.testing.assert_array_equal(separated(case, apart), apart)
 
 
-@pytest.mark.parametrize("solver", ["exchange", "gradient"])
+@pytest.mark.parametrize("solver", ["exchange", "ipopt"])
 def test_plans_have_repeats_only_when_asked_for(solver: str) -> None:
     """On two joints, eight runs want the four corners twice."""
     apart = solve(problem(NARROW, OFFSET), 8, solver, starts=10)

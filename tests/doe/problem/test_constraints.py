@@ -90,7 +90,7 @@ def test_derivatives() -> None:
         np.testing.assert_allclose(bend[..., joint], differences, rtol=1e-5, atol=1e-3)
 
 
-@pytest.mark.parametrize("solver", ["gradient", "exchange", Random(20)])
+@pytest.mark.parametrize("solver", ["ipopt", "exchange", Random(20)])
 def test_every_solver_honours_them(solver: str | Random) -> None:
     problem = DesignProblem.of(Model(ARM))
     design = solve(problem, 8, solver, starts=2, bound=closed_form_bound(problem))  # a loose one, which takes no time

@@ -92,8 +92,8 @@ def test_choices_outside_the_limits_are_not_chosen() -> None:
 
 
 def test_bad_input() -> None:
-    with pytest.raises(InputError, match="gradient cannot choose from a list"):
-        solve(problem(FOUR, choices=LIST), 6, "gradient")
+    with pytest.raises(InputError, match="ipopt cannot choose from a list"):
+        solve(problem(FOUR, choices=LIST), 6, "ipopt")
     with pytest.raises(InputError, match=r"allowed: \(k, 4\)"):
         solve(problem(FOUR, choices=LIST[:, :3]), 6)
     with pytest.raises(InputError, match="0 of 18"):

@@ -22,7 +22,7 @@ from tests.doe.arms import FIVE, FOUR, OFFSET, SIX, problem
 from tests.doe.bounds.test_planar_theorem import complex_log_det, factorial
 
 
-@pytest.mark.parametrize("solver", [None, "exchange", "gradient", "random", "analytic"])
+@pytest.mark.parametrize("solver", [None, "exchange", "ipopt", "random", "analytic"])
 def test_same_seed_same_plan(solver: str | None) -> None:
     runs = 8 if solver == "analytic" else 6
     told = list[str]()
@@ -43,8 +43,8 @@ def test_bad_input() -> None:
             solve(problem(FOUR), runs)
     with pytest.raises(InputError, match=r"found Arm, allowed: a DesignProblem"):
         solve(FOUR, 8)  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="did you mean 'gradient'"):
-        solve(problem(FIVE), 8, "gradent")
+    with pytest.raises(InputError, match="did you mean 'ipopt'"):
+        solve(problem(FIVE), 8, "ipot")
 
 
 @pytest.mark.parametrize(
