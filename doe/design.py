@@ -84,7 +84,8 @@ class Design:
     def no_efficiency(self) -> str | None:
         """Why there is no efficiency; None where there is one."""
         if self.outside:
-            are = f"run {self.outside[0]} is" if len(self.outside) == 1 else f"{len(self.outside)} runs are"
+            listed = ", ".join(map(str, self.outside[:10])) + ", ..." * (len(self.outside) > 10)
+            are = f"run {listed} is" if len(self.outside) == 1 else f"runs {listed} are"
             return f"{are} outside joint limits or constraints, where no bound applies"
         if self.bound is None:
             return "no bound is known"

@@ -414,8 +414,8 @@ def identify_files(
         lines.append(effects.sentence + (f", or rather {share:g} times as large" if share != 1.0 else ""))
         if not chosen and old is None:
             alone = Model(with_sessions(bare, rows))
-            keys["offered"] = offered = prior_judged(lambda: estimation.estimate(alone, rows), fitted, rows)
-            doubts += [shown.hardly_better(offered)] if offered and not offered["better"] else []
+            keys["offered"] = prior_judged(lambda: estimation.estimate(alone, rows), fitted, rows)
+            doubts += shown.hardly_better(keys)
     result = fitted.to_json() | {"cross_validated_mm": left_out_rms(fitted, rows), "rms_drawing_mm": None}
     with suppress(InputError):  # too few rows
         result["rms_drawing_mm"] = rms_distance(drawing_residuals(bare, rows))

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Mapping, Sequence
-from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -57,19 +57,19 @@ def columns_beside(design: Design | ApproximateDesign) -> dict[str, Sequence[str
 
 def design_verdict(design: Design) -> str:
     """How good a plan is, in a sentence or two."""
-    runs, bound, outside = f"{len(design.plan)} run{'s' * (len(design.plan) != 1)}", design.bound, design.outside
+    runs, bound = f"{len(design.plan)} run{'s' * (len(design.plan) != 1)}", design.bound
     optimal = f", {design.optimality_in_words}" if design.certified_optimal else ""
     criterion = f"{design.problem.criterion.name}{optimal}"
     if not (error := design.expected_error):
-        efficiency = "no known bound" if design.efficiency is None else f"the efficiency {design.efficiency:.4f}"
-        efficiency = "no bound: it is outside joint limits or constraints" if outside else efficiency
+        why = design.no_efficiency
+        efficiency = f"no efficiency: {why}" if why else f"the efficiency {design.efficiency:.4f}"
         return f"The plan of {runs} has {efficiency} ({criterion})."
     sentence = f"With the plan of {runs} (criterion {criterion}) expect an error of "
     listed = design.problem.choices is not None and not design.problem.sampled
     where = "candidates" if listed and not getattr(design.problem.model, "tied", False) else "workspace"
     sentence += f"{in_a_sentence(error['plan'])} mm at the tip, RMS over the {where} or --test-poses"
     sentence += f", if fitted by armcal identify --{fit}" if (fit := design.problem.fit) else ""
-    if bound is None or error["bound"] is None or design.efficiency is None or outside:
+    if bound is None or error["bound"] is None or design.efficiency is None:
         return f"{sentence}."  # no bound applies to a plan outside the limits
     kind = "" if bound.rigorous else " (a numerical bound)"
     sentence += f"; no plan of {runs} from {bound.postures} is below {in_a_sentence(error['bound'])} mm{kind}"
@@ -82,17 +82,14 @@ def design_verdict(design: Design) -> str:
 def design_facts(design: Design) -> Sheet:
     """Value, bound, efficiency; of criterion I not its own scale, which says nothing more than the millimetres."""
     bound, kind, in_mm = design.bound, design.problem.criterion.name, design.expected_error is not None
-    outside, table_1 = design.outside, design.table_1_max_residual
+    table_1 = design.table_1_max_residual
     counts = {"run": len(design.plan), "link": design.plan.links, "start": design.starts}
     runs, links, starts = (f"{many} {one}{'s' * (many != 1)}" for one, many in counts.items())
-    words = bound.words if bound and not outside else ""
+    words = bound.words if bound and not design.outside else ""
     highest = f"{number(bound.value, 7)} ({words})" if bound and words and not in_mm else ""
     efficiency = f"-: {design.no_efficiency}" if design.no_efficiency else number(design.efficiency, 6)
     optimal = design.optimality_in_words or "not shown"
     optimal += ": the bound does not say that it is optimal" if design.optimality == BEST_KNOWN else ""
-    if outside:
-        listed = ", ".join(map(str, outside[:10])) + ", ..." * (len(outside) > 10)
-        optimal = f"no: outside joint limits or constraints in run{'s' * (len(outside) != 1)} {listed}"
     return Sheet.facts(
         {
             "criterion": f"{kind}, {runs}, {links}",
@@ -219,9 +216,9 @@ def plan_section(
 def plan_steps(
     problem: DesignProblem, plan: Plan, name: str = "plan", tests: Mapping[str, Any] = MappingProxyType({})
 ) -> dict[str, Any] | None:
-    """What page.js computes log det M' of edited plans from, as `armcal score` does: lines to draw, cells for the file,
-    of which an edited plan keeps all columns, Jacobians to 12 digits, and which bodies are too near to each other. None
-    for a plan too long for it, or of weights.
+    """What page.js computes log det M' of edited plans from, as `armcal score` does: rows of the file, all columns of
+    which an edited plan keeps, and which rows are runs; of these lines to draw, Jacobians to 12 digits, and which
+    bodies are too near to each other. None for a plan too long for it, or of weights.
 
     problem : of an arm;  name : of the edited file, without its ending
     """
@@ -230,42 +227,35 @@ def plan_steps(
     def rounded(values: Array, digits: int) -> Any:
         return np.vectorize(lambda value: float(f"{value:.{digits}g}"), otypes=[float])(values).tolist()
 
-    # way-points belong to the move to the run after them, and are kept as long as the run before it stays the same
-    ends = [-1, *np.flatnonzero(np.ones(len(plan), dtype=bool) if plan.via is None else ~plan.via)]
-    ways = [range(start + 1, end) for start, end in pairwise(ends)]
-    via, shown = ([postures[list(way)] for way in ways] for postures in (plan.postures, plan.displayed))
-    texts = [*zip(*plan.cells.values(), strict=True)]
-    plan = plan.measured
-    numbers = len(plan) * problem.model.dimension * problem.parameters
-    # more runs than a person steps through, or too many numbers of the Jacobians, some 12 characters each
-    if plan.weights is not None or len(plan) > 200 or numbers > 150_000:
-        return None
     model: Any = problem.model
-    arm, cells = model.arm, plan.cells
-    near: list[list[dict[str, Any]]] = [[] for _ in range(len(plan))]
+    runs, cells = plan.measured, plan.cells
+    numbers = len(runs) * model.dimension * problem.parameters
+    # more runs than a person steps through, or too many numbers of the Jacobians, some 12 characters each
+    if plan.weights is not None or len(runs) > 200 or numbers > 150_000:
+        return None
+    near: list[list[dict[str, Any]]] = [[] for _ in range(len(runs))]
     for clearance in (each for each in problem.constraints if isinstance(each, Clearance)):
-        for each in clearance.too_near(plan.postures):
+        for each in clearance.too_near(runs.postures):
             near[each["run"] - 1].append({"bodies": each["bodies"], "text": distance_in_words(each)})
-    if not cells:
-        columns = zip(plan.units, plan.displayed.T, strict=True)
-        cells = {f"q{j}_{unit}": [repr(float(q)) for q in column] for j, (unit, column) in enumerate(columns, 1)}
+    if not cells:  # those of the file that it would have
+        head, *lines = csv.reader(plan.text().splitlines()[bool(plan.fit) :])
+        cells = {name: texts for name, *texts in zip(head, *lines, strict=True) if name != "run"}
     steps = {
         "file": f"{name}-edited.csv",
         "comment": f"# fit: {plan.fit}" if plan.fit else "",
         "columns": list(cells),
         "rows": [list(row) for row in zip(*cells.values(), strict=True)],
-        "via": [rounded(each, 6) for each in shown],
-        "ways": [[texts[row] for row in way] for way in ways],
+        "runs": [row for row in range(len(plan)) if plan.via is None or not plan.via[row]],
         "joints": posture_headings(plan),
         "postures": rounded(plan.displayed, 6),
-        "jacobians": rounded(problem.scaled_jacobians(plan.postures).reshape(len(plan), -1), 12),
+        "jacobians": rounded(problem.scaled_jacobians(runs.postures).reshape(len(runs), -1), 12),
         "parameters": problem.parameters,
         "precisions": rounded(problem.precisions, 12),
-        "points": rounded(model.points(plan.postures), 5),
+        "points": rounded(model.points(runs.postures), 5),
         "near": near,
-        "outlines": [{"line": rounded(line, 5), "forbidden": forbidden} for line, forbidden in outlines(arm)],
+        "outlines": [{"line": rounded(line, 5), "forbidden": forbidden} for line, forbidden in outlines(model.arm)],
     }
-    return steps if arm.chain.projection is None else steps | {"scene": scene(model, plan.postures, via, tests)}
+    return steps if model.arm.chain.projection is None else steps | {"scene": scene(model, plan.postures, tests)}
 
 
 # -- armcal advise -----------------------------------------------------------------------------------------------------

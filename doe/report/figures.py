@@ -4,7 +4,7 @@ scene.js draws it: its chain, the bodies of its cell, trackers, and measured err
 from __future__ import annotations
 
 from base64 import b64encode
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import partial
 from itertools import pairwise
 from typing import Any
@@ -174,11 +174,10 @@ def certificate_figure(problem: DesignProblem, postures: Array, samples: int = 1
 
 
 # -- an arm in space for scene.js -------------------------------------------------------------------------------------
-def scene(model: Any, postures: Array, via: Sequence[Array], tests: Mapping[str, Any]) -> dict[str, Any]:
+def scene(model: Any, postures: Array, tests: Mapping[str, Any]) -> dict[str, Any]:
     """What scene.js draws of an arm at postures (m, n) [rad, mm], and of measurements.
 
-    model : of the arm, as `design_model` gives it;  via : of each posture the (v, n) way-points on the way to it
-    tests : name of measurements -> their `Validation`
+    model : of the arm, as `design_model` gives it;  tests : name of measurements -> their `Validation`
 
     The chain is a list of n + 1 steps from frame to frame, each a fixed pose and then a motion about or along an
     axis, but for the last one, which leads to the measured point: joint_frames(q) are their products.
@@ -194,7 +193,6 @@ def scene(model: Any, postures: Array, via: Sequence[Array], tests: Mapping[str,
             for step, move in zip(np.linalg.inv(before) @ frames, [*moves, {}], strict=True)
         ],
         "postures": np.asarray(postures).round(9).tolist(),
-        "via": [each.tolist() for each in via],
         "bodies": [
             {"name": body.name, "joint": body.joint} | shape(looks, most)
             for body in bodies

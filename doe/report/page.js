@@ -57,6 +57,16 @@ function logDet(matrix) {
   return sum;
 }
 
+// a plan by its runs: rows of its file between them are way-points, which belong to the move to the run after them and
+// are kept as long as the run before it stays the same
+function byRun(plan) {
+  const { runs, scene } = plan, at = rows => runs.map(row => rows[row]);
+  const before = rows => runs.map((row, run) => rows.slice((runs[run - 1] ?? -1) + 1, row));
+  Object.assign(plan, { ways: before(plan.rows), rows: at(plan.rows), via: before(plan.postures), postures: at(plan.postures) });
+  if (scene) Object.assign(scene, { via: before(scene.postures), postures: at(scene.postures) });
+  return plan;
+}
+
 class Steps {
   constructor(place, plan) {
     this.plan = plan;
@@ -370,7 +380,7 @@ class Steps {
 
 const plans = [...document.querySelectorAll("[data-plan]")].map(place => {
   place.replaceChildren();
-  return new Steps(place, JSON.parse(document.getElementById(place.dataset.plan).textContent));
+  return new Steps(place, byRun(JSON.parse(document.getElementById(place.dataset.plan).textContent)));
 });
 
 // all of a printed page is to be read

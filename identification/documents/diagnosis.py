@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -69,8 +70,7 @@ def diagnosis_verdict(data: Data) -> list[str]:
     if refuted(data):
         partly = "Not confirmed as predicted: the error on rows that no fit has seen falls by less."
         lines.append(partly if shrinks(data) else f"Not confirmed on {judges(data)}.")
-    if not is_offered(data):
-        lines.append(fits.hardly_better(data["offered"]))
+    lines += fits.hardly_better(data)
     if verdict == "none" and data["misfit"] and data["misfit"]["significant"]:
         return [*lines, "The model is incomplete or sigma_mm too small; what is missing these data do not show."]
     if verdict == "none":
@@ -157,11 +157,6 @@ def judges(data: Data) -> str:
     return "rows that no fit has seen" if data["confirmation"] else "rows left out in cross-validation"
 
 
-def is_offered(data: Data) -> bool:
-    """Whether the model is better than the geometry alone, as far as that was tried."""
-    return bool((data.get("offered") or {"better": True})["better"])
-
-
 def is_described(data: Data) -> bool:
     """Whether error curves stand for what is unknown: the fitted set is no name for it, and has no probability."""
     return (data["where"], data["shape"]) in {(f"joint:{c['joint']}", c["shape"]) for c in data["curves"]}
@@ -201,7 +196,7 @@ def diagnosis_actions(
         apart = " ".join(["armcal discriminate", arm, *rows, "--runs 6 --out next.csv"])
         measure = Action("Measure the postures that tell the explanations apart:", apart)
         return [measure, Action("Add the new rows to the data, and diagnose again:", again)]
-    if not is_offered(data):
+    if fits.hardly_better(data):
         use = Action(f"Use the calibration of the geometry{joined}, unless other rows show that it is worse:", alone)
         return [use, fits.correct("calibrated.toml"), confirm]
     actions = [] if data["confirmation"] and data["confirmation"]["confirmed"] else [confirm]
@@ -231,9 +226,7 @@ def diagnosis_document(
         """Drawn where it is seen: matplotlib takes longer to load than a small diagnosis."""
 
         def draw() -> Sequence[Any]:
-            from identification.documents import pictures
-
-            drawn = getattr(pictures, name)(diagnosis)
+            drawn = resolve_name(f"identification.documents.pictures:{name}")(diagnosis)
             return drawn if isinstance(drawn, Sequence) else [drawn]
 
         return Pictures(draw)
@@ -293,16 +286,14 @@ def missing_parts(data: Data) -> list[Part]:
             rows.append([f"{labels.get(owner, owner)}.{short}", *limits, unit_or_dash(row["unit"])])
         title = f"Estimates: {' + '.join(c['effects'])}" if several else "Estimates"
         estimates.append(Sheet(("parameter", "value", "low 95 %", "high 95 %", "unit"), rows, title, 40))
-    # the probabilities in one line, with those of other sets, and whether the rows are too few for a test
+    # the probabilities in one line, and whether the rows are too few for a test
     few = data["effects"] and tests and all(test["confirmed"] is None for test in tests)
     among = " (too few rows to confirm it on others)" if few else ""
     # long ones stand in the table alone
     listed = {" + ".join(c["effects"]) for c in data["candidates"] if several and len(c["effects"]) > MOST}
     shares = {name: p for name, p in data["probabilities"].items() if p >= 0.005 and name not in listed}
     every = ", ".join(f"{name} {p:.2f}" for name, p in shares.items())
-    short = [one for one in data["other_sets"] if len(one["effects"]) <= MOST]
-    other = ", ".join(f"{' + '.join(one['effects'])} {one['probability']:.2f}" for one in short)
-    parts: list[Part] = [*findings(data), f"Probability{among}: {every}{f' (of that {other})' if other else ''}."]
+    parts: list[Part] = [*findings(data), f"Probability{among}: {every}."]
     if several:
         parts.append("Every explanation with at least a twentieth of the best one's probability:")
         parts.append(Sheet(("effects", "probability", "-2 log odds"), figures))

@@ -137,9 +137,7 @@ def identification_document(fit: Identification, data: Data | None = None, hidde
     placed = 0 < len(places) < len(fit.names) or fit.rms_before <= (1.0 + 1e-3) * fit.rms_after
     file = "arm file" if fit.arm is None or fit.arm.calibration is not None else "drawing"
     before = f"{file}, {DRAWN['base' if places and placed else 'none']}"
-    verdict = [identification_verdict({**data, **unit_key(fit.arm)}, before)]
-    if not data.get("offered", {"better": True})["better"]:
-        verdict.insert(0, hardly_better(data["offered"]))
+    verdict = [*hardly_better(data), identification_verdict({**data, **unit_key(fit.arm)}, before)]
     return Document("Identification", verdict, parts, warnings=fit.warnings)
 
 
@@ -156,8 +154,11 @@ def identification_verdict(data: Data, before: str = "") -> str:
     return f"On its own data the calibration takes the RMS error from {was} to {now}."
 
 
-def hardly_better(offered: Data) -> str:
-    """That a model predicts what it has not seen no better than the geometry alone, or only within chance."""
+def hardly_better(data: Data) -> list[str]:
+    """That the model predicts what it has not seen no better than the geometry alone, or only within chance; nothing
+    where it is better, or nobody has tried."""
+    if (offered := data.get("offered")) is None or offered["better"]:
+        return []
     sure = "no better" if offered["rms_mm"] >= offered["rms_geometry_mm"] else "not significantly better"
     model, geometry = (
         f"{in_a_sentence(offered[f'rms{of}_mm'])} mm RMS (largest {in_a_sentence(offered[f'max{of}_mm'])})"
@@ -165,7 +166,7 @@ def hardly_better(offered: Data) -> str:
     )
     placed = ", each with the place of the arm refitted" if offered["by"] == "holdout" else ""
     seen = f"in rows that no fit has seen{placed}"
-    return f"This model predicts {sure} than the geometry alone: {model} against {geometry} {seen}."
+    return [f"This model predicts {sure} than the geometry alone: {model} against {geometry} {seen}."]
 
 
 def drawing_in_words(rms: float, refit: str = "base", unit: str = "mm") -> str:

@@ -130,7 +130,9 @@ def against_figure(diagnosis: Diagnosis) -> Figure:
     kept, postures, pairs = kept_rows(diagnosis)
     apart = [(distances(residuals), name) for residuals, name in pairs]
     arm, measurements, conditions = diagnosis.arm, diagnosis.measurements, diagnosis.measurements.conditions.rows(kept)
-    against: dict[str, Array] = {f"joint {j} [rad]": q for j, q in enumerate(postures.T, start=1)}
+    units = [FILE_UNITS[JOINT_UNITS[kind]] for kind in Model(arm).joint_types]
+    joints = enumerate(zip(units, postures.T, strict=True), start=1)
+    against: dict[str, Array] = {f"joint {j} [{unit}]": factor * q for j, ((unit, factor, _), q) in joints}
     against["time"] = np.zeros(len(kept)) if conditions.time is None else conditions.time
     if arm.gravity is not None:
         torques = Model(arm).torques(postures, conditions)
@@ -139,15 +141,13 @@ def against_figure(diagnosis: Diagnosis) -> Figure:
         against["temperature [C]"] = measurements.temperature[kept]
 
     def draw(axis: Axes, name: str) -> None:
-        x = np.degrees(against[name]) if "[rad]" in name else against[name]
-        dots(axis, x, apart)
+        dots(axis, x := against[name], apart)
         # and the RMS in up to twelve groups of rows
         groups = np.array_split(np.argsort(x, kind="stable"), min(12, max(1, len(x) // 4)))
         for (distance, _), color in zip(apart, (BEFORE, AFTER), strict=True):
             root = [np.sqrt(np.mean(distance[g] ** 2)) for g in groups]
             axis.plot([np.mean(x[g]) for g in groups], root, color=color, lw=1.8)
-        residual = f"residual [{reading_unit(diagnosis.arm)}]"
-        axis.set(xlabel=name.replace("[rad]", "[deg]"), ylabel=residual, ylim=(0, None))
+        axis.set(xlabel=name, ylabel=f"residual [{reading_unit(arm)}]", ylim=(0, None))
 
     return panels([*against], 3, 2.3, draw, sharey=True)
 

@@ -94,7 +94,7 @@ def test_a_plan_outside_the_limits_is_never_certified() -> None:
     assert design.to_json()["outside_limits"] == [2, 3, 4, 5]
     closed = closed_form_bound(problem(FOUR))
     assert design.value > closed.value
-    said = "4 runs are outside joint limits or constraints, where no bound applies"
+    said = "runs 2, 3, 4, 5 are outside joint limits or constraints, where no bound applies"
     for judged in (design, replace(design, bound=closed)):  # none is looked for, and none that is known applies
         assert judged.efficiency is judged.optimality is None
         assert not judged.certified_optimal

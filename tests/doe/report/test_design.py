@@ -48,15 +48,16 @@ def test_a_robust_plan_is_judged_by_millimetres() -> None:
 
 
 def test_a_plan_in_a_sentence() -> None:
-    def verdict(criterion: str = "D", outside: tuple[int, ...] = (), **values: Any) -> str:
+    def verdict(criterion: str = "D", no_efficiency: str | None = None, **values: Any) -> str:
         usual = {"efficiency": None, "certified_optimal": False, "expected_error": None, "bound": None}
         stated = SimpleNamespace(criterion=SimpleNamespace(name=criterion), choices=None, fit="")
         plan = Plan(np.zeros((20, 2)))
-        return design_verdict(SimpleNamespace(problem=stated, plan=plan, outside=outside, **(usual | values)))  # type: ignore[arg-type]
+        return design_verdict(
+            SimpleNamespace(problem=stated, plan=plan, no_efficiency=no_efficiency, **(usual | values))
+        )  # type: ignore[arg-type]
 
     assert verdict(efficiency=0.98765) == "The plan of 20 runs has the efficiency 0.9877 (D)."
-    assert "no known bound" in verdict()
-    assert verdict(outside=(3,)) == "The plan of 20 runs has no bound: it is outside joint limits or constraints (D)."
+    assert verdict("D", "no bound is known") == "The plan of 20 runs has no efficiency: no bound is known (D)."
     listed = Bound(-9.0, "grid", True, candidates=2000)
     error = {"bound": listed, "efficiency": 0.329, "expected_error": {"plan": 0.158, "bound": 0.0808}}
     said = verdict("I", **error)
@@ -66,7 +67,7 @@ def test_a_plan_in_a_sentence() -> None:
         "0.3290. Do not expect",
     ):
         assert part in said
-    assert "bound" not in verdict("I", (3,), **error)  # none applies
+    assert "bound" not in verdict("I", **(error | {"efficiency": None}))  # none applies
     optimal = "optimal up to a numerical bound"
     assert verdict(efficiency=1.0, certified_optimal=True, optimality_in_words=optimal).endswith(f"(D, {optimal}).")
     for rigorous, words in ((True, "proven optimal"), (False, optimal)):
@@ -94,14 +95,16 @@ def test_rows_without_payload_are_completed_before_others_are_appended() -> None
 
 @pytest.mark.parametrize(("arm", "joints", "runs"), [(ARM, 2, 9), (SIX_AXIS, 6, 16)])
 def test_the_log_det_of_a_plan_follows_from_what_the_page_has(arm: Arm, joints: int, runs: int) -> None:
-    plan = Plan(np.random.default_rng(1).uniform(-2.0, 2.0, (runs, joints)))
-    steps = plan_steps(problem(arm), plan)
+    via = np.arange(runs + 1) == 3
+    whole = Plan(np.random.default_rng(1).uniform(-2.0, 2.0, (runs + 1, joints)), via=via)
+    plan, steps = whole.measured, plan_steps(problem(arm), whole)
     assert steps is not None
     p = steps["parameters"]
     rows = np.array(steps["jacobians"]).reshape(-1, p)
     log_det = np.linalg.slogdet((rows.T @ rows + np.diag(steps["precisions"])) / runs)[1]
     assert log_det == pytest.approx(score(DesignProblem.of(Model(arm)), plan).log_det, abs=1e-8)
-    np.testing.assert_allclose(np.array(steps["rows"], dtype=float), np.degrees(plan.postures), atol=1e-11)
+    cells = np.array(steps["rows"])[steps["runs"], 1 : 1 + joints].astype(float)  # after its kind
+    np.testing.assert_allclose(cells, np.degrees(plan.postures), atol=1e-11)
     np.testing.assert_allclose(steps["points"], Model(arm).points(plan.postures), rtol=1e-4, atol=1e-2)
 
 
@@ -200,4 +203,4 @@ def test_a_floor_without_bodies_is_drawn() -> None:
     arm = replace(CROWDED, cell=Cell((Body("nothing"),), floor=-50.0))
     views = [axes for axes in plan_figure(arm, POSTURES[:2]).axes if axes.name == "3d"]
     assert all(view.get_zlim()[0] <= -50.0 for view in views)
-    assert scene(design_model(Model(arm)), POSTURES[:2], [], {})["bodies"] == []
+    assert scene(design_model(Model(arm)), POSTURES[:2], {})["bodies"] == []

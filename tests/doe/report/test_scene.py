@@ -172,7 +172,7 @@ def test_the_script_has_the_kinematics_of_the_model(seen: Watched) -> None:
     for arm in (ARM, sliding_arm()):
         model = design_model(Model(arm))
         postures = RANDOM.uniform(model.lower, model.upper, (20, model.joints))
-        data = scene(model, postures, [], {})
+        data = scene(model, postures, {})
         found = np.array(seen.page.evaluate(script, [data["chain"], postures.tolist()]))
         expected = model.joint_frames(postures)
         assert np.linalg.norm(expected[:, -1, :3, 3], axis=1).min() > 1.0  # [mm]
