@@ -95,7 +95,6 @@ def solve(
     begin: Array | None = None,
     accepted: Callable[[Array], bool] = lambda _: True,
     progress: Progress = Progress(),
-    throw: bool = True,
 ) -> Design:
     """The best plan of `runs` measurements that the solver finds, with its certificate.
 
@@ -105,9 +104,9 @@ def solve(
         up to 100 runs, 30 s for more. The bound is part of it: whichever of search and bound comes first ends at half
     bound : upper bound of the criterion; left out: the best that is known, see `doe.bounds.column_generation`
     begin : (m, n) a plan to begin with;  accepted : which plans may take its place
-    throw : raise `JobError` where no plan identifies all parameters; False: return the last one, value -inf
 
-    Ctrl-C returns the best plan so far, status `interrupted`. Raises `InputError` for too few runs, an unknown name.
+    Ctrl-C returns the best plan so far, status `interrupted`. Raises `InputError` for too few runs, an unknown name,
+    and `JobError` where no plan identifies all parameters.
     """
     began = perf_counter()
     if not isinstance(problem, DesignProblem):
@@ -120,7 +119,7 @@ def solve(
     if problem.choices is not None and not isinstance(chosen, Exchange):
         raise InputError(f"solver: {chosen.name} cannot choose from a list of postures, allowed: exchange")
     check_runs(problem, runs)
-    if throw and (names := problem.without_effect):
+    if names := problem.without_effect:
         raise JobError(f"design: no plan identifies all {problem.parameters} parameters; {NEUTRAL}: {'; '.join(names)}")
     if begin is None or not problem.feasible(begin).any():
         random_postures(problem, 1, np.random.default_rng(seed))  # raises where the constraints exclude everything
@@ -177,8 +176,6 @@ def solve(
         if design.certified_optimal and status is not Status.interrupted:  # by a bound that came after the search, say
             design = replace(design, status=Status.bound_reached)
     if not np.isfinite(design.value):
-        if not throw:
-            return replace(design, status=Status.not_identifiable)
         if problem.choices is None:
             many = np.random.default_rng(0).uniform(problem.lower, problem.upper, (4 * p, problem.joints))
         else:
@@ -190,7 +187,7 @@ def solve(
         reason += f"; {NEUTRAL}: {'; '.join(aliases)}" if aliases else ""
         placed = any("base." in alias and "tool[" in alias for alias in aliases)  # the axes of a SCARA are parallel
         raise JobError(reason + "; add [tool] or [base] to the arm file" * placed)
-    if throw and not np.isfinite(best_value):
+    if not np.isfinite(best_value):
         apart = f"postures {problem.spacing} apart"
         raise JobError(f"design: no plan within the constraints and with {apart} was found by {design.solver}")
     return design

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ import pytest
 from click.testing import CliRunner
 
 from doe import DesignProblem, score
+from doe.bounds.certificate import Bound
 from doe.cli import main
 from doe.jobs import frame_of
 from doe.report.studies import comparison_parts
@@ -80,19 +80,15 @@ def test_rows_without_any_success_have_tables() -> None:
 
 
 def test_judged_by_the_problem() -> None:
-    """Not correct are a plan outside the limits, one without a run, and a claim that the problem does not confirm."""
+    """Not correct are a plan outside the limits, one without a run, and one that is better than the bound."""
     postures = np.random.default_rng(3).uniform(-LIMITS, LIMITS, (5, 3))
-    honest = evaluated(PROBLEM, 5, score(PROBLEM, Plan(postures)))
+    honest = evaluated(5, score(PROBLEM, Plan(postures)))
     assert honest["value"] == pytest.approx(complex_log_det(postures), abs=1e-10)
     assert honest["correct"]
-    assert not evaluated(PROBLEM, 6, score(PROBLEM, Plan(postures)))["correct"]
-    other = replace(PROBLEM, kept=postures)  # the solver worked on another problem
-    claimed = score(other, Plan(postures[::-1] * 0.5))
-    found = evaluated(PROBLEM, 5, claimed)
-    assert claimed.value != pytest.approx(found["value"], abs=1e-6)
-    assert not found["correct"]
-    postures[2, 1] = LIMITS[1] + 1e-6
-    assert not evaluated(PROBLEM, 5, score(PROBLEM, Plan(postures)))["correct"]
+    assert not evaluated(6, score(PROBLEM, Plan(postures)))["correct"]
+    assert not evaluated(5, score(PROBLEM, Plan(postures), Bound(honest["value"] - 1e-8, "continuous")))["correct"]
+    postures[2, 1] = LIMITS[1] + 2e-6
+    assert not evaluated(5, score(PROBLEM, Plan(postures)))["correct"]
 
 
 @pytest.fixture
