@@ -260,11 +260,11 @@ def discrimination_design(
 def in_order(postures: Array, library: EffectLibrary, generator: Generator, budget: Budget) -> Array:
     """(m, n) the order of many that shows backlash and drift best beside the model's parameters: by log det of what the
     data tell of the order's effects, beyond what the others explain; effort: it has a second in any case."""
-    deadline = budget.deadline and max(budget.deadline, perf_counter() + 1.0)
+    deadline = max(budget.deadline, perf_counter() + 1.0)
     shuffles = [generator.permutation(len(postures)) for _ in range(200)]  # effort
     scores, base, jacobian_of = list[float](), library.base, library.jacobian_by_order
     for order in shuffles:
-        if jacobian_of is None or (scores and deadline is not None and perf_counter() >= deadline):
+        if jacobian_of is None or (scores and perf_counter() >= deadline):
             break
         jacobian = jacobian_of(postures[order])
         information = information_matrix(jacobian)

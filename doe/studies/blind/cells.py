@@ -67,6 +67,7 @@ class CellSpec:
     many: str = ""  # a key of `COUNTS`: as many effects of the library, drawn at random, one of gravity
     links: Sequence[int] = (2, 6)  # least and most, in the plane
     physics: str = ""  # the hidden effect is that one of `PHYSICS`
+    sets: int = 400  # in a study
     reads: int = 1  # of each posture, one after another, with an error they share
     reflectors: int = 1  # measured points, taking turns
     designed: bool = False  # postures of somebody's plan instead of random ones, the same for SAME_ARM sets
@@ -77,7 +78,8 @@ class CellSpec:
 
 
 CELLS = {name: CellSpec(**spec) for name, spec in TABLE["plane"].items()}
-CELLS |= {f"space, {name}": CellSpec(**spec, space=True) for name, spec in TABLE["space"].items()}
+# in space a diagnosis takes ten times as long
+CELLS |= {f"space, {name}": CellSpec(**spec, space=True, sets=100) for name, spec in TABLE["space"].items()}
 
 
 # -- arms --------------------------------------------------------------------------------------------------------------

@@ -62,8 +62,7 @@ def blind_study(
     what the diagnosis says of it, see `examine`) and the tables of `scored`.
 
     cells : names of the simulators' cells
-    count : data sets per cell; left out: 1000 without a hidden effect where there is a bar, else 400 or 1200; in space
-        100
+    count : data sets per cell; left out: `CellSpec.sets`
     folder : where NAME.parquet of each goes;  how : `workers`, `resume`, `force` and `progress` of `run_tasks`
 
     Raises `InputError` for an unknown cell.
@@ -72,10 +71,7 @@ def blind_study(
     for cell in cells:
         if cell not in CELLS:
             raise InputError.unknown("cell: unknown name", cell, CELLS)
-        usual = 1000 if any(bar.startswith("alarm ") for bar in TABLE["bars"].get(cell, ())) else 400
-        if cell == AMBIGUOUS or CELLS[cell].designed:
-            usual = 1200  # of which a third are ambiguous; or ten of which share an arm and its plan
-        total = count or (100 if CELLS[cell].space else usual)  # in space a diagnosis takes ten times as long
+        total = count or CELLS[cell].sets
         keys += [
             {"cell": cell, "first": first, "sets": min(BATCH, total - first), "seed": seed}
             for first in range(0, total, BATCH)
