@@ -26,19 +26,27 @@ FINEST = 1e-3  # standard deviation whose third significant digit is the fifth d
 NUMBER = re.compile(r"[<>]? ?[-+–]?([\d.,]+(e[-+]?\d+)?)?( \*|%)?", re.IGNORECASE)  # or a dash in place of one
 
 
+def to_the_letter(part: Part, style: str = "") -> RenderableType:
+    """A part for a terminal, a paragraph without characters that it would obey, which names in files may have."""
+    from rich.text import Text
+
+    if not isinstance(part, str):
+        return part
+    return Text(re.sub(r"[^\n]", lambda char: char[0] if char[0].isprintable() else "?", part), style)
+
+
 # -- the tree ----------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Sheet:
     """Headings and rows of ready text; without headings names and what is to be said of each.
 
-    most : rows that a terminal shows;  where : all of them are, said where there are more
+    most : rows that a terminal shows
     """
 
     headings: Sequence[str]
     rows: Sequence[Sequence[str]]
     title: str = ""
     most: int | None = None
-    where: str = "--json has all"
 
     @classmethod
     def facts(cls, facts: Mapping[str, str | None]) -> Self:
@@ -49,23 +57,24 @@ class Sheet:
         """The first rows, and a line that says so if these are not all."""
         if self.most is None or most is None or len(self.rows) <= most:
             return self.rows, ""
-        return self.rows[:most], f"first {most} of {len(self.rows)}; {self.where}"
+        return self.rows[:most], f"first {most} of {len(self.rows)}; --json has all"
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[RenderableType]:
         """Figures end at the right and are never broken; where it would be too wide, columns stand closer together."""
         from rich import box
         from rich.measure import Measurement
         from rich.table import Table
-        from rich.text import Text
 
         rows, rest = self.cut(self.most)
         table = Table(box=box.SIMPLE_HEAD) if self.headings else Table.grid(padding=(0, 2, 0, 0))
         for k, heading in enumerate(self.headings):
             cells = [row[k].strip() for row in rows if row[k].strip()]
             figures = 2 * sum(bool(NUMBER.fullmatch(cell)) for cell in cells) > len(cells)
-            table.add_column(Text(heading), justify="right" if figures else "left", overflow="fold", no_wrap=figures)
+            table.add_column(
+                to_the_letter(heading), justify="right" if figures else "left", overflow="fold", no_wrap=figures
+            )
         for row in rows:
-            table.add_row(*map(Text, row))
+            table.add_row(*map(to_the_letter, row))
         free = options.update(max_width=10_000)
         for table.padding in ((0, 0, 0, 1), 0) if self.headings else ():
             if Measurement.get(console, free, table).maximum <= options.max_width:
@@ -74,9 +83,9 @@ class Sheet:
             for column in table.columns:
                 column.no_wrap = False  # a figure in two lines is better than one that is cut off
         if rows:
-            yield from [Text(self.title, "italic")] if self.title else []
+            yield from [to_the_letter(self.title, "italic")] if self.title else []
             yield table
-            yield from [Text(rest)] if rest else []
+            yield from [rest] if rest else []
 
     def html(self, picture: Picture) -> str:
         """A table, and what it leaves out."""
@@ -123,11 +132,9 @@ class Section:
     folded: bool = False
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[RenderableType]:
-        from rich.text import Text
-
         shown = [part for part in self.parts if not (self.folded or isinstance(part, Pictures))]
-        yield from [Text(f"\n{self.title}", "bold italic")] if shown else []
-        yield from (Text(part) if isinstance(part, str) else part for part in shown)
+        yield from [to_the_letter(f"\n{self.title}", "bold italic")] if shown else []
+        yield from map(to_the_letter, shown)
 
     def html(self, picture: Picture) -> str:
         """Its title and what is in it."""
@@ -176,12 +183,10 @@ class Document:
         return html(self)
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[RenderableType]:
-        from rich.text import Text
-
-        yield from (Text(sentence, "bold") for sentence in (*self.warnings, *self.verdict) if sentence)
-        yield from (Text(part) if isinstance(part, str) else part for part in self.parts)
+        yield from (to_the_letter(sentence, "bold") for sentence in (*self.warnings, *self.verdict) if sentence)
+        yield from map(to_the_letter, self.parts)
         for text, command in self.actions:
-            yield Text(f"next: {text}" + (f"\n      {command}" if command else ""))
+            yield to_the_letter(f"next: {text}" + (f"\n      {command}" if command else ""))
 
     def html(self, picture: Picture) -> str:
         """All of it but the title."""

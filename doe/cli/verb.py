@@ -396,15 +396,9 @@ def shown(answer: Answer, as_json: bool) -> None:
         click.echo(json.dumps(plain, allow_nan=False))
         return
     from rich.console import Console
-    from rich.segment import Segment, Segments
 
     if isinstance(sys.stdout, TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # dashes and lines of tables that its encoding does not have
     # a pipe has no width; brackets of effects are no markup
     console = Console(width=get_terminal_size((110, 0)).columns, highlight=False, markup=False)
-    # names in files may have control characters, which a terminal would obey
-    segments = (
-        Segment(re.sub(r"[^\n]", lambda c: c[0] if c[0].isprintable() else "?", s.text), s.style)
-        for s in console.render(answer.document)
-    )
-    console.print(Segments(segments), end="")
+    console.print(answer.document)

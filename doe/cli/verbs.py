@@ -20,7 +20,7 @@ import click
 import doe
 from doe.cli.verb import Count, JobOptions, Picture, Seconds, WholeNumbers, interruptible
 from identification import InputError, JobError, Progress
-from identification.document import Answer, Document, Sheet, in_a_sentence
+from identification.document import Answer, Document, Sheet, count_of, in_a_sentence
 from identification.files.io import write_together
 from identification.workflow import VERBS, Folder, Names, Written
 
@@ -248,8 +248,7 @@ def score_files(
     plan: Path,
     *,
     seconds: Seconds = 20.0,
-    robust: bool = False,
-    missing: Names | None = None,
+    criterion: CriterionOptions,
     package_dir: tuple[Path, ...] = (),
 ) -> Answer:
     """Judge a plan of your own against the bound.
@@ -257,8 +256,6 @@ def score_files(
     Efficiency against the bound, expected standard deviations, effects that the PLAN could show.
 
     seconds : Time budget of the search for the bound [s].
-    robust : The arm may have effects of the library that its file does not name.
-    missing : Only these effects, for --robust: gear_ratio,joint_coupling
     """
     from doe.plan.accuracy import average_error, criterion_values, error_at_poses, observability, with_choices
     from doe.plan.moves import in_sentences, unproven
@@ -267,8 +264,8 @@ def score_files(
 
     loaded = load_arm(arm, package_dir)
     judged = Plan.load(plan, loaded.joint_types)
-    bounded = design_problem(loaded, CriterionOptions(robust=robust, missing=missing), len(judged))
-    if robust or bounded.choices is not None:
+    bounded = design_problem(loaded, criterion, len(judged))
+    if criterion.robust or bounded.choices is not None:
         bounded = with_choices(bounded, judged.postures)
     if len(judged) < bounded.fewest_runs:
         need = f"at least {bounded.fewest_runs} for {bounded.parameters} parameters"
@@ -296,7 +293,7 @@ def score_files(
     if moves is not None:
         data["moves"] = {"not_free": moves}
     meant = f"{plan} is to be fitted by armcal identify --{judged.fit}: {UNLIKE_ROBUST}"
-    lines = [*([meant] if judged.fit and not robust else []), *in_sentences(moves or [])]
+    lines = [*([meant] if judged.fit and not criterion.robust else []), *in_sentences(moves or [])]
     figures = ", ".join(f"{name} {'-' if value is None else format(value, '.5g')}" for name, value in values.items())
     rms = "" if (error := data["workspace_error_mm"]) is None else f", {in_a_sentence(error)} mm RMS"
     of = f"I: the tip over the workspace{rms}; Ds: what is in mm"
@@ -495,6 +492,7 @@ def program_files(
     from doe import DesignProblem
     from doe.plan.moves import from_elsewhere, in_sentences
     from doe.program.program import program
+    from doe.report.design import posture_headings
     from identification import Plan, load_arm
 
     loaded = load_arm(arm, package_dir)
@@ -506,22 +504,21 @@ def program_files(
         made = program(loaded, file, robot, **options)
     except InputError as error:
         raise InputError(str(error) if str(error).startswith(("--", str(template))) else f"{plan}: {error}") from None
-    vias = sum(move["kind"] == "via" for move in made.moves)
-    runs = len(file) - vias
-    data = {"robot": robot, "name": made.name, "runs": runs, "vias": vias, "seconds": made.seconds, "moves": made.moves}
-    data["not_free"] = made.not_free
-    counted = f"{runs} run{'s' * (runs != 1)} and {vias} way-point{'s' * (vias != 1)}"
+    runs, vias = len(file.measured), len(file) - len(file.measured)
+    data = {"robot": robot, "runs": runs, "vias": vias, **made._asdict()}
+    text = data.pop("text")
+    counted = f"{count_of(runs, 'run')} and {count_of(vias, 'way-point')}"
     first = "nobody looked at the move to the first row: try it slowly"
     sentence = f"{counted}, about {made.seconds / 60.0:.1f} min without measuring; {first}"
-    headings = ["", *(f"q{j} [{unit}]" for j, unit in enumerate(made.units, start=1)), "after [s]"]
+    headings = ["", *posture_headings(file), "after [s]"]
     rows = [[m["kind"], *(f"{q:.3f}" for q in m["joints"]), f"{m['seconds']:.0f}"] for m in made.moves]
     doubts = in_sentences(made.not_free)
     if elsewhere := from_elsewhere(file):
         named = f"run{'s' * (len(elsewhere) != 1)} {', '.join(map(str, elsewhere))}"
         doubts.append(f"Joints come to {named} from other sides than direction1.. of {plan} say, in want of way-points")
-    document = Document(parts=[sentence, Sheet(headings, rows, most=60, where="the program lists all"), *doubts])
+    document = Document(parts=[sentence, Sheet(headings, rows, most=60), *doubts])
     warned = [line.strip() for line in doubts]
-    answer = Answer(data, document, warnings=warned, files={out: ("program", made.text)})
+    answer = Answer(data, document, warnings=warned, files={out: ("program", text)})
     return with_collisions(answer, DesignProblem.of(loaded), file.measured.postures)
 
 
@@ -568,7 +565,7 @@ def discriminate_files(
     problem = doe.DesignProblem.of(loaded)
     measured = [q for path in data for q in Plan.load(path, loaded.joint_types, carried_out=True).postures.round(3)]
     if (postures := len(set(map(tuple, measured)))) < (fewest := problem.fewest_runs):
-        counted = f"{len(measured)} rows of {postures} posture{'s' * (postures != 1)}"
+        counted = f"{len(measured)} rows of {count_of(postures, 'posture')}"
         enough = f"at least {fewest}, which the arm's own parameters need; armcal design --keep {data[-1]} chooses more"
         raise InputError(f"{data[-1]}: {counted}, allowed: {enough}")
     diagnosis = VERBS["diagnose"][0](arm, data, seed=seed, progress=progress).result

@@ -28,27 +28,18 @@ from identification.workflow import VERBS, Written
 class Scenario:
     """An arm, and what its simulation hides.
 
-    files : names of what is there first -> files of this folder whose texts, one after the other, they have
+    folder : beside this file, of what is there first; truth.toml is what there is more in it than in arm.toml
     runs : of the plan;  effort : of the search for it, arguments of `solve`
     """
 
     title: str
-    files: Mapping[str, tuple[str, ...]]
+    folder: str
     runs: int
     effort: Mapping[str, Any] = field(default_factory=dict)
 
 
-PLANAR = Scenario(
-    "the paper's 4-link arm",
-    {"arm.toml": ("planar_arm.toml",), "truth.toml": ("planar_arm.toml", "planar_truth.toml")},
-    runs=20,
-)
-SIX_AXES = Scenario(
-    "a six-axis arm before a laser tracker",
-    {"robot.urdf": ("robot.urdf",), "arm.toml": ("six_axes.toml",), "truth.toml": ("six_axes.toml", "six_truth.toml")},
-    runs=36,
-    effort={"starts": 1},
-)
+PLANAR = Scenario("the paper's 4-link arm", "planar", runs=20)
+SIX_AXES = Scenario("a six-axis arm before a laser tracker", "six_axes", runs=36, effort={"starts": 1})
 
 
 # -- the loop ----------------------------------------------------------------------------------------------------------
@@ -84,8 +75,9 @@ def run_demo(directory: Path, scenario: Scenario, seed: int = 0, progress: Progr
         write_together({file(name): text}, force=True)
 
     progress(0, 8, "arm files")
-    for name, parts in scenario.files.items():
-        write(name, "\n".join(Path(__file__).with_name(part).read_text() for part in parts))
+    first = {each.name: each.read_text() for each in sorted(Path(__file__).with_name(scenario.folder).iterdir())}
+    for name, text in (first | {"truth.toml": f"{first['arm.toml']}\n{first['truth.toml']}"}).items():
+        write(name, text)
     path, truth, rows, fresh = (directory / name for name in ("arm.toml", "truth.toml", "data.csv", "fresh.csv"))
     arm, real = load_arm(path), design_model(load_arm(truth))
     progress(1, 8, "plan")
@@ -99,7 +91,7 @@ def run_demo(directory: Path, scenario: Scenario, seed: int = 0, progress: Progr
     for k, (plan, name) in enumerate((("plan.csv", "data.csv"), ("fresh_plan.csv", "fresh.csv")), start=1):
         verbs["simulate"](path, directory / plan, truth=truth, out=file(name), force=True, seed=seed + k)
     progress(3, 8, "identification")
-    urdf = file("corrected.urdf") if "robot.urdf" in scenario.files else None
+    urdf = file("corrected.urdf") if "robot.urdf" in first else None
     identified = verbs["identify"](path, rows, out=file("calibrated.toml"), urdf=urdf, force=True)
     progress(4, 8, "diagnosis")
     named = file("extended.toml")

@@ -39,15 +39,14 @@ class Program(NamedTuple):
     """What a controller runs, and for a dry run what that does.
 
     moves : of each its `kind` (`measure` or `via`), the `run` that is measured there, None at a way-point, the `joints`
-        in `units`, and the `seconds` from the start at which it arrives
-    units : (n) deg or mm;  seconds : estimated duration, without the measurements
+        in deg or mm, and the `seconds` from the start at which it arrives
+    seconds : estimated duration, without the measurements
     not_free : moves that may collide, as `unproven` has them; the program says so where they are
     """
 
     text: str
     name: str
     moves: list[dict[str, Any]]
-    units: tuple[str, ...]
     seconds: float
     not_free: list[dict[str, Any]]
 
@@ -162,10 +161,9 @@ def program(
             where = f"{template}: " if line is None else f"{template}: line {line}: "
             allowed = f"allowed: a jinja template of the variables {', '.join(variables)}"
             raise InputError(f"{where}{error}, {allowed}") from None
-    return Program(text, identifier, rows, plan.units, departures[-1] / 1000.0, not_free)
+    return Program(text, identifier, rows, departures[-1] / 1000.0, not_free)
 
 
 def decimal(value: float, unit: float, digits: int) -> str:
     """A number in a unit, without an exponent and without -0; at least one digit behind the point."""
-    text = f"{round(float(value) * unit, digits) + 0.0:.{digits}f}".rstrip("0")
-    return f"{text}0" if text.endswith(".") else text
+    return np.format_float_positional(round(float(value) * unit, digits) + 0.0, trim="0")

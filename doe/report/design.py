@@ -20,7 +20,7 @@ from doe.problem.problem import DesignProblem
 from doe.report.page import PlanSteps
 from doe.solvers.solver import LONG_PLAN
 from identification import Array, Plan, Status
-from identification.document import Document, Pictures, Section, Sheet, in_a_sentence, number
+from identification.document import Document, Pictures, Section, Sheet, count_of, in_a_sentence, number
 
 if TYPE_CHECKING:
     from doe.advise import Advice
@@ -57,7 +57,7 @@ def columns_beside(design: Design | ApproximateDesign) -> dict[str, Sequence[str
 
 def design_verdict(design: Design) -> str:
     """How good a plan is, in a sentence or two."""
-    runs, bound = f"{len(design.plan)} run{'s' * (len(design.plan) != 1)}", design.bound
+    runs, bound = count_of(len(design.plan), "run"), design.bound
     optimal = f", {design.optimality_in_words}" if design.certified_optimal else ""
     criterion = f"{design.problem.criterion.name}{optimal}"
     if not (error := design.expected_error):
@@ -82,9 +82,7 @@ def design_verdict(design: Design) -> str:
 def design_facts(design: Design) -> Sheet:
     """Value, bound, efficiency; of criterion I not its own scale, which says nothing more than the millimetres."""
     bound, kind, in_mm = design.bound, design.problem.criterion.name, design.expected_error is not None
-    table_1 = design.table_1_max_residual
-    counts = {"run": len(design.plan), "link": design.plan.links, "start": design.starts}
-    runs, links, starts = (f"{many} {one}{'s' * (many != 1)}" for one, many in counts.items())
+    table_1, runs, links = design.table_1_max_residual, len(design.plan), design.plan.links
     words = bound.words if bound and not design.outside else ""
     highest = f"{number(bound.value, 7)} ({words})" if bound and words and not in_mm else ""
     efficiency = f"-: {design.no_efficiency}" if design.no_efficiency else number(design.efficiency, 6)
@@ -92,14 +90,14 @@ def design_facts(design: Design) -> Sheet:
     optimal += ": the bound does not say that it is optimal" if design.optimality == BEST_KNOWN else ""
     return Sheet.facts(
         {
-            "criterion": f"{kind}, {runs}, {links}",
+            "criterion": f"{kind}, {count_of(runs, 'run')}, {count_of(links, 'link')}",
             f"value of {kind}": "" if kind == "D" or in_mm else number(design.value, 7),
             "information (log det M')": "" if kind == "I" else number(design.log_det, 7),
             "upper bound" if kind == "D" else f"upper bound of {kind}": highest,
             "efficiency": f"{efficiency} of the bound ({words})" if words and in_mm else efficiency,
             "optimal": optimal,
             "deviation from orthogonality (Table I)": "" if table_1 is None or kind == "I" else number(table_1, 6),
-            "solver": f"{design.solver}, {starts}, {design.seconds:.2f} s" if design.solver else "",
+            "solver": design.solver and f"{design.solver}, {count_of(design.starts, 'start')}, {design.seconds:.2f} s",
             "status": design.status.value,
         }
     )

@@ -33,35 +33,29 @@ def plan_figure(arm: Arm, postures: Array) -> Figure:
     most = min(len(postures), 500)  # more stick figures only cover each other
     shown = postures[np.linspace(0, len(postures) - 1, most).round().astype(int)]
     count = f"{len(postures)} postures" if len(shown) == len(postures) else f"{len(shown)} of {len(postures)} postures"
-    if arm.chain.projection:
-        figure = Figure(figsize=(10.0, 8.6))
-        top, bottom = np.asarray(figure.subfigures(2, 1, height_ratios=[2.2, 1.0]))
-        up, around = side(arm)
-        for k, view in enumerate(((up, around), (up, around + 90.0)), start=1):
-            axes: Any = top.add_subplot(1, 2, k, projection="3d")
-            axes.view_init(*view)
-            draw_arm(axes, arm, shown)
+    in_space, (up, around) = arm.chain.projection is not None, side(arm)
+    views = {"front": (up, around), "aside": (up, around + 90.0)} if in_space else {"front": None}
+    figure = Figure(figsize=(10.0, 8.6 if in_space else 4.6), layout="constrained")
+    axes: Any = figure.subplot_mosaic(
+        [["front", "aside"], ["joints", "joints"]] if in_space else [["front", "joints"]],
+        height_ratios=[2.6, 1.0] if in_space else None,
+        per_subplot_kw={tuple(views): {"projection": arm.chain.projection}},
+    )
+    for name, view in views.items():
+        draw_arm(axes[name], arm, shown)
+        if view is not None:
+            axes[name].view_init(*view)
+            axes[name].tick_params(labelsize=7)
             if arm.cell is not None:
-                draw_bodies(axes, arm, shown[0])
+                draw_bodies(axes[name], arm, shown[0])
             # of the arm: a tracker may be far from it
-            limits = np.array([axes.get_xlim(), axes.get_ylim(), axes.get_zlim()])
-            axes.set(xlim=limits[0], ylim=limits[1], zlim=limits[2])
-            draw_constraints(axes, arm)
-            axes.tick_params(labelsize=7)
-            axes.locator_params(nbins=4)
-            axes.set_box_aspect(limits[:, 1] - limits[:, 0], zoom=1.1)  # the same scale on all axes
-        first = "" if arm.cell is None else "; bodies as in the first"
-        top.subplots_adjust(left=0.09, right=0.9, bottom=0.06, top=0.94, wspace=0.3)
-        top.suptitle(f"{count}, from two sides; light to dark in order of measurement{first}", fontsize=9)
-        bottom.subplots_adjust(left=0.06, right=0.97, bottom=0.2)
-        draw_joints(bottom.subplots(), arm, postures)
-        return figure
-    figure = Figure(figsize=(10.0, 4.6), layout="constrained")
-    plane, joints = figure.subplots(1, 2, width_ratios=[1.0, 1.1])
-    draw_arm(plane, arm, shown)
-    plane.set_title(count, fontsize=9)
-    draw_constraints(plane, arm)
-    draw_joints(joints, arm, postures)
+            limits = np.array([axes[name].get_xlim(), axes[name].get_ylim(), axes[name].get_zlim()])
+            axes[name].set(xlim=limits[0], ylim=limits[1], zlim=limits[2])
+            axes[name].set_box_aspect(limits[:, 1] - limits[:, 0], zoom=0.85)  # the same scale on all axes
+        draw_constraints(axes[name], arm)
+    first = "; bodies as in the first" if in_space and arm.cell is not None else ""
+    axes["front"].set_title(f"{count}{first}", fontsize=9)
+    draw_joints(axes["joints"], arm, postures)
     return figure
 
 
@@ -75,7 +69,7 @@ def draw_joints(joints: Axes, arm: Arm, postures: Array) -> None:
         joints.scatter(factor * postures[:, j], np.full(len(postures), j), c=colors, s=26, zorder=3, lw=0)
     joints.set(yticks=range(arm.links), yticklabels=[f"$q_{j + 1}$" for j in range(arm.links)])
     joints.set_xlabel(" or ".join(sorted({"position [mm]" if kind == PRISMATIC else "angle [deg]" for kind in types})))
-    joints.set_title("angles within the joint limits, light to dark in order of measurement", fontsize=9)
+    joints.set_title("angles within the joint limits, light to dark as they are measured", fontsize=9)
     joints.invert_yaxis()
 
 
