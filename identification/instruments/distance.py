@@ -36,15 +36,20 @@ def distance_to_center(point: ca.SX) -> ca.SX:
 @register_instrument
 @dataclass(frozen=True)
 class Distance(Instrument):
-    """Its frame has the origin at the center; how that frame is turned no distance shows."""
+    """Its frame has the origin at the center; how that frame is turned no distance shows.
+
+    radius : [mm] at which a length counts from zero, 0: it counts from the center
+    """
 
     kind = "distance"
     keys = frozenset({"center_mm"})
     coordinates: ClassVar[tuple[Coordinate, ...]] = (Coordinate("distance", positive=True),)
     offers = frozenset({"distance"})
 
+    radius: float = 0.0
+
     def reading(self, point: ca.SX, values: ca.SX, target: ca.SX) -> ca.SX:
-        return distance_to_center(point)
+        return distance_to_center(point) - self.radius
 
     def hidden(self, base: Array) -> frozenset[str]:
         return frozenset(error_names(PLACE)[3:])
@@ -57,7 +62,7 @@ class Distance(Instrument):
         middle = points.mean(axis=1, keepdims=True)
         around = (points - middle) / rows.reach
         columns = np.concatenate([2.0 * around, np.ones((*around.shape[:2], 1))], axis=2)
-        lengths = (rows.readings[:, 0] - self.readings(np.zeros(3), np.zeros(0))) / rows.reach
+        lengths = (rows.readings[:, 0] + self.radius) / rows.reach
         goals = np.sum(around**2, axis=2) - lengths**2
         solved = (np.linalg.pinv(columns, rcond=RANK_TOLERANCE) @ goals[..., None])[..., 0]
         normals = np.linalg.eigh(np.swapaxes(around, 1, 2) @ around)[1][..., 0]  # of the least scatter

@@ -13,7 +13,7 @@ import numpy as np
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.instruments.base import PLACE, Instrument, Placement, Unplaced, register_instrument
-from identification.instruments.distance import Distance, distance_to_center
+from identification.instruments.distance import Distance
 from identification.kinematics.frames import from_angles, pose, rotation_about
 from identification.kinematics.parameters import AXES, error_names
 from identification.workspace import circle_across
@@ -22,22 +22,14 @@ from identification.workspace import circle_across
 @register_instrument
 @dataclass(frozen=True)
 class Sphere(Distance):
-    """A touch probe on a ball, wherever that stands. Its frame has the origin at the center of the ball.
-
-    radius : [mm] of ball and stylus tip together
-    """
+    """A touch probe on a ball, wherever that stands: read is the height above the surface, in a frame with the origin
+    at the center of the ball. The radius is that of ball and stylus tip together."""
 
     kind = "sphere"
     keys = frozenset({"center_mm", "radius_mm"})
     coordinates = ()
     target = "surface"
     offers = frozenset()
-
-    radius: float
-
-    def reading(self, point: ca.SX, values: ca.SX, target: ca.SX) -> ca.SX:
-        """The height above the surface."""
-        return distance_to_center(point) - self.radius
 
     @classmethod
     def of_table(cls, table: Mapping[str, Any]) -> Sphere:
@@ -82,24 +74,14 @@ class Plane(Instrument):
         return choice
 
     def place(self, rows: Unplaced) -> Placement:
-        """Its z axis the normal, its origin in the middle of the points, its x axis near one of the arm's."""
+        """From bases above the plane: their z axis is its normal, x is near one of the arm's axes, and the origin is in
+        the middle of the points."""
         bases = []
         for points in rows.points:
-            about = points - points.mean(axis=0)
-            normal = np.linalg.eigh(about.T @ about)[1][:, 0]  # of the least scatter; of few points any
-            bases.append(_standing_above(points, normal, normal @ points.mean(axis=0)))
-        best = self.searched(rows, np.array(bases))
-        if rows.base is not None:
-            return best
-        (points,) = rows._replace(tool=best.tool).points
-        return best._replace(base=_standing_above(points, best.base[2, :3], -best.base[2, 3]))
-
-
-def _standing_above(points: Array, normal: Array, height: float) -> Array:
-    """(4, 4) base, in the frame of a plane, of an arm above it;  points : (m, 3) in the frame of the base"""
-    if height > 0.0:
-        normal, height = -normal, -height
-    one, other = circle_across(normal)
-    axes = np.array([-other, one, normal])
-    middle = axes @ points.mean(axis=0)
-    return pose([-middle[0], -middle[1], -height], axes)
+            middle = points.mean(axis=0)
+            normal = np.linalg.eigh((points - middle).T @ (points - middle))[1][:, 0]  # of least scatter; of few any
+            normal *= -1.0 if normal @ middle > 0.0 else 1.0
+            one, other = circle_across(normal)
+            axes = np.array([-other, one, normal])
+            bases.append(pose(-axes @ middle, axes))
+        return self.searched(rows, np.array(bases))
