@@ -229,7 +229,7 @@ def design_files(
     extra += [] if expected is None else [str(expected)]
     data |= driven.data
     extra += driven.lines
-    text = driven.moves.text(loaded.joint_types, columns_beside(design))
+    text = driven.moves.text(columns_beside(design))
     files: dict[Path | None, tuple[str, Any]] = {out: ("plan", text)}
     if picture is not None:
         from doe.report.figures import plan_figure  # matplotlib takes longer to load than a small design
@@ -411,7 +411,7 @@ def relax_files(
         exact = new or problem.parameters  # what a prior is worth depends on the runs
         compared = cross_check(checked, relaxation, exact, seed=seed, seconds=end - perf_counter())
         data["cross_check"] = compared
-    text = replace(relaxation.plan, fit=problem.fit).text(loaded.joint_types, columns_beside(relaxation))
+    text = replace(relaxation.plan, fit=problem.fit).text(columns_beside(relaxation))
     answer = Answer(data, relax_document(relaxation, compared, new), files={out: ("plan with weights", text)})
     return with_collisions(answer, problem, relaxation.plan.postures)
 

@@ -86,7 +86,7 @@ def run_demo(directory: Path, scenario: Scenario, seed: int = 0, progress: Progr
     driven = drive(problem, design.plan, seed=seed)
     design = replace(design, plan=driven.plan)
     write("plan.csv", driven.moves.text())
-    write("fresh_plan.csv", Plan(random_postures(problem, 200, generator)).text(arm.joint_types))
+    write("fresh_plan.csv", Plan(random_postures(problem, 200, generator), joint_types=arm.joint_types).text())
     progress(2, 8, "measurements")
     for k, (plan, name) in enumerate((("plan.csv", "data.csv"), ("fresh_plan.csv", "fresh.csv")), start=1):
         verbs["simulate"](path, directory / plan, truth=truth, out=file(name), force=True, seed=seed + k)
@@ -100,7 +100,7 @@ def run_demo(directory: Path, scenario: Scenario, seed: int = 0, progress: Progr
     extended = verbs["identify"](named, rows, out=named, force=True)
     progress(6, 8, "commands")
     targets = random_postures(problem, 50, generator)  # where the nominal arm would be there the real one is to go
-    write("targets.csv", Plan(targets).text(arm.joint_types))
+    write("targets.csv", Plan(targets, joint_types=arm.joint_types).text())
     sent = verbs["compensate"](named, directory / "targets.csv", out=file("commands.csv"), force=True).result
     progress(7, 8, "page")
     tests = {name: verbs["validate"](directory / f"{name}.toml", fresh).result for name in ("calibrated", "extended")}

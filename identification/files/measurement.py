@@ -27,17 +27,18 @@ from identification.files.csv import MEASURE, VIA, Table, csv_text, read_table
 from identification.files.io import PathLike
 from identification.instruments import TRACKER
 from identification.kinematics.chain import planar_chain
-from identification.kinematics.counting import counting_in
+from identification.kinematics.counting import JointKinds
 from identification.kinematics.frames import from_angles, from_quaternions, to_angles
-from identification.kinematics.parameters import PRISMATIC
+from identification.kinematics.parameters import PRISMATIC, REVOLUTE
 from identification.measurements import VALUES, Measurements, directions_from_order
 
 if TYPE_CHECKING:
     from identification.instruments import Instrument
 
 Columns = dict[str, NDArray[np.generic]]
-JointTypes = int | Sequence[str] | None  # of each joint; a number: so many that turn; None: as many as the table has
+Joints = int | Sequence[str] | None  # the type of each; a number: so many that turn; None: as many as the table has
 LENGTH, ANGLE, PIXEL = "length", "angle", "pixel"
+QUANTITIES = {REVOLUTE: ANGLE, PRISMATIC: LENGTH}  # of the columns of joints
 # units that a column may have, the one to write first -> factor to [mm] or [rad]; and the largest value then
 UNITS = {LENGTH: {"mm": 1.0, "m": 1000.0}, ANGLE: {"deg": float(np.radians(1.0)), "rad": 1.0}, PIXEL: {"px": 1.0}}
 MOST = {LENGTH: LARGEST, ANGLE: float(np.radians(LARGEST_ANGLE)), PIXEL: LARGEST}
@@ -55,11 +56,10 @@ def load_measurements(path: PathLike, links: int | Arm | None = None) -> Measure
     links : or the arm itself: a spatial one has positions of three coordinates, markers, and may have sliding joints
     """
     table = read_table(path)
-    types: JointTypes = links.joint_types if isinstance(links, Arm) else links
+    kinds = _joint_kinds(table, links.joint_types if isinstance(links, Arm) else links)
     chain = links.chain if isinstance(links, Arm) else planar_chain([1.0])  # has the columns of every planar arm
     instrument, poses = chain.instrument, chain.angle_scale is not None
-    postures = read_postures(table, types)
-    types = postures.shape[1] if types is None else types
+    postures = read_postures(table, kinds)
     # each target that is touched has a place of its own, as each session has
     names = {name: table.texts(name) for name in ("session", instrument.target) if name and name in table}
     session = np.array(["/".join(parts) for parts in zip(*names.values(), strict=True)]) if names else None
@@ -69,7 +69,7 @@ def load_measurements(path: PathLike, links: int | Arm | None = None) -> Measure
         session, marker = names.get("session"), session
     coordinates = instrument.coordinates[: len(chain.axes)]
     read = [read_column(table, name, kind, LENGTH_RANGE if positive else None) for name, kind, positive in coordinates]
-    conditions = _conditions(table, types, NUMBERS)
+    conditions = _conditions(table, kinds, NUMBERS)
     order, time, gaps = conditions.pop("order", None), conditions.pop("time_s", None), np.zeros(len(table), dtype=bool)
     if order is not None and time is not None:  # time says more, if it says the same
         by_order, by_time = (np.argsort(each, kind="stable") for each in (order, time))
@@ -92,7 +92,7 @@ def load_measurements(path: PathLike, links: int | Arm | None = None) -> Measure
         session=session,
         marker=marker,
         orientations=read_orientations(table) if poses else None,
-        commanded=read_postures(table, types, "commanded") if _joint_columns(table, types, "commanded") else None,
+        commanded=read_postures(table, kinds, "commanded") if _joint_columns(table, "commanded") else None,
         fit=table.fit,
         provenance=MappingProxyType({"file": Path(path).name, "sha256": table.sha256}),
         **conditions,
@@ -111,10 +111,12 @@ def load_measurements(path: PathLike, links: int | Arm | None = None) -> Measure
     return measurements
 
 
-def measurement_text(measurements: Measurements, types: JointTypes = None, instrument: Instrument | None = None) -> str:
+def measurement_text(
+    measurements: Measurements, types: Sequence[str] = (), instrument: Instrument | None = None
+) -> str:
     """The text of a measurement file; `load_measurements` reads the same from it, to rounding (1e-14 rad).
 
-    instrument : that measured; None: one of positions or lengths
+    types : of the joints, as of `Plan`;  instrument : that measured; None: one of positions or lengths
     Raises `InputError` for positions that a file cannot have.
     """
     if (far := np.abs(measurements.positions).max(initial=0.0)) > LARGEST:
@@ -129,16 +131,17 @@ def measurement_text(measurements: Measurements, types: JointTypes = None, instr
                 target = np.array([name.rpartition("/")[2] for name in target.tolist()])
         else:
             session = instrument.target or session
-    columns = posture_columns(measurements.postures, types)
+    kinds = JointKinds(types or (REVOLUTE,) * measurements.links)
+    columns = posture_columns(measurements.postures, kinds)
     columns |= dict(zip(names, measurements.positions.T, strict=False))
     if measurements.commanded is not None:
-        columns |= posture_columns(measurements.commanded, types, "commanded")
+        columns |= posture_columns(measurements.commanded, kinds, "commanded")
     columns |= {} if measurements.orientations is None else angle_columns(measurements.orientations)
     if (order := measurements.order) is not None:
         columns["order" if np.all(order == np.round(order)) else "time_s"] = order
     optional: dict[str, Any] = {"temperature_C": measurements.temperature, "payload_kg": measurements.payload}
     if (directions := measurements.directions) is not None:
-        signs = counting_in(types, measurements.links).signs_of_columns(directions)
+        signs = kinds.counting.signs_of_columns(directions)
         optional |= {f"direction{j}": column for j, column in enumerate(signs.T, start=1)}
     optional |= {"posture": measurements.repeats, marker: target, "sigma_mm": measurements.sigma}
     if marker != session or target is None:
@@ -173,31 +176,29 @@ def read_column(table: Table, name: str, quantity: str, bounds: tuple[float, flo
     return table.floats(f"{name}_{unit}", allowed, lambda v: (v * factor >= low) & (v * factor <= high)) * factor
 
 
-def _joint_columns(table: Table, types: JointTypes, name: str = "q") -> dict[int, str]:
+def _joint_columns(table: Table, name: str = "q") -> dict[int, str]:
     """Joint, from 1 -> a column of its positions that a table has."""
-    every = ((re.fullmatch(rf"{name}([1-9]\d*)_(\w+)", column), column) for column in table.frame.columns)
-    joints = ((int(words[1]), words[2], column) for words, column in every if words)
-    return {joint: column for joint, unit, column in joints if unit in UNITS[_quantity(types, joint)]}
+    every = ((re.fullmatch(rf"{name}([1-9]\d*)_(deg|rad|mm?)", column), column) for column in table.frame.columns)
+    return {int(words[1]): column for words, column in every if words}
 
 
-def _quantity(types: JointTypes, joint: int) -> str:
-    """What the column of a joint, counted from 1, holds."""
-    slides = isinstance(types, Sequence) and joint <= len(types) and types[joint - 1] == PRISMATIC
-    return LENGTH if slides else ANGLE
+def _joint_kinds(table: Table, joints: Joints) -> JointKinds:
+    """Types of the joints whose positions a table has."""
+    if joints is None:
+        joints = min(max(_joint_columns(table), default=1), MAX_LINKS)
+    return JointKinds((REVOLUTE,) * joints if isinstance(joints, int) else joints)
 
 
-def read_postures(table: Table, types: JointTypes = None, name: str = "q") -> Array:
-    """(m, n) joint positions [rad, mm] of columns `q1_deg..`, which are as the controller counts (`JointKinds`); n as
-    `types` say, or what the table has. Raises `InputError` for anything else;  name : `q`, or `commanded`"""
-    columns = _joint_columns(table, types, name)
-    last = max(columns, default=1)
-    n = min(last, MAX_LINKS) if types is None else types if isinstance(types, int) else len(types)
-    if last > n:
-        allowed = " to ".join(column_of(f"{name}{j}", _quantity(types, j)) for j in (1, n))
-        whose = "" if types is None else f", but the arm has {n} links"
-        raise InputError(f"{table.path}: found column {columns[last]}{whose}, allowed: {allowed}")
-    read = [read_column(table, f"{name}{joint}", _quantity(types, joint)) for joint in range(1, n + 1)]
-    return counting_in(types, n).joints(np.column_stack(read))
+def read_postures(table: Table, kinds: JointKinds, name: str = "q") -> Array:
+    """(m, n) joint positions [rad, mm] of columns `q1_deg..`, which are as the controller counts. Raises `InputError`
+    for anything else;  name : `q`, or `commanded`"""
+    columns = _joint_columns(table, name)
+    if (last := max(columns, default=1)) > len(kinds):
+        ends = ((1, kinds[0]), (len(kinds), kinds[-1]))
+        allowed = " to ".join(column_of(f"{name}{j}", QUANTITIES[kind]) for j, kind in ends)
+        raise InputError(f"{table.path}: found column {columns[last]}, allowed: {allowed}")
+    read = [read_column(table, f"{name}{j}", QUANTITIES[kind]) for j, kind in enumerate(kinds, start=1)]
+    return kinds.counting.joints(np.column_stack(read))
 
 
 def read_orientations(table: Table) -> Array | None:
@@ -223,33 +224,30 @@ def read_orientations(table: Table) -> Array | None:
     return from_quaternions(quaternions)
 
 
-def _conditions(table: Table, types: int | Sequence[str], numbers: Iterable[str]) -> dict[str, Any]:
+def _conditions(table: Table, kinds: JointKinds, numbers: Iterable[str]) -> dict[str, Any]:
     """Those of the `NUMBERS` columns that the table has, (m,), by their fields, and `directions` (m, n) of the joints:
     +1 or -1, NaN where the cell is empty or coupled joints leave it open."""
     given = {column: table.floats(column, *VALUES[NUMBERS[column]][1:]) for column in numbers if column in table}
     fields = {"time_s" if column == "time_s" else NUMBERS[column]: values for column, values in given.items()}
-    n = types if isinstance(types, int) else len(types)
-    wanted = [f"direction{j}" for j in range(1, n + 1)]
+    wanted = [f"direction{j}" for j in range(1, len(kinds) + 1)]
     if present := [column for column in table.frame.columns if re.fullmatch(r"direction[1-9]\d*", column)]:
         table.require(wanted)
         for column in set(present).difference(wanted):
-            state = f"found column {column}, but there are {n} joints"
-            raise InputError(f"{table.path}: {state}, allowed: direction1 to direction{n}")
+            raise InputError(f"{table.path}: found column {column}, allowed: direction1 to {wanted[-1]}")
         signs = np.column_stack([table.floats(column, *VALUES["directions"][1:], empty=np.nan) for column in wanted])
-        fields["directions"] = counting_in(types, n).signs_of_columns(signs, back=True)
+        fields["directions"] = kinds.counting.signs_of_columns(signs, back=True)
     return fields
 
 
 # -- writing columns ---------------------------------------------------------------------------------------------------
-def posture_columns(postures: Array, types: JointTypes = None, name: str = "q") -> Columns:
+def posture_columns(postures: Array, types: Sequence[str], name: str = "q") -> Columns:
     """Columns `q1_deg..qn_deg`, as the controller counts, of (m, n) positions [rad, mm]; `q1_mm` of one that slides;
     name : `q`, or `commanded`"""
-    columns: Columns = {}
-    for j, column in enumerate(counting_in(types, postures.shape[1]).columns(postures).T, start=1):
-        quantity = _quantity(types, j)
+    columns, kinds = Columns(), JointKinds(types)
+    for j, (kind, column) in enumerate(zip(kinds, kinds.counting.columns(postures).T, strict=True), start=1):
         # 30 rather than 29.999999999999996; 12 decimals are 2e-14 rad;  + 0: no -0
-        shown = np.round(np.degrees(column), 12) if quantity == ANGLE else column
-        columns[column_of(f"{name}{j}", quantity)] = shown + 0.0
+        shown = np.round(np.degrees(column), 12) if kind == REVOLUTE else column
+        columns[column_of(f"{name}{j}", QUANTITIES[kind])] = shown + 0.0
     return columns
 
 
@@ -276,7 +274,7 @@ class Plan(ByValue):
 
     postures : (m, n) joint angles [rad], of prismatic joints positions [mm]
     weights : (m,) shares of the measurements, summing to one, None: an exact plan, every row is one measurement
-    joint_types : (n) `revolute` or `prismatic`, empty: all revolute; `JointKinds` say how files count them
+    joint_types : (n) `revolute` or `prismatic`, empty: all revolute; as `JointKinds`, which say how files count them
     fit : how its measurements are to be fitted, as options of `armcal identify`; empty: by the model of the arm file
     via : (m,) rows that are way-points, where these were asked for; None: there are none
     cells : column of its file, but for `run` -> its texts, with decimal points
@@ -285,7 +283,7 @@ class Plan(ByValue):
 
     postures: Array
     weights: Array | None = None
-    joint_types: Sequence[str] = ()
+    joint_types: JointKinds = ()  # type: ignore[assignment]
     fit: str = ""
     via: NDArray[np.bool_] | None = None
     cells: Mapping[str, Sequence[str]] = field(default_factory=dict)
@@ -293,6 +291,7 @@ class Plan(ByValue):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "postures", readonly(np.atleast_2d(self.postures)))
+        object.__setattr__(self, "joint_types", JointKinds(self.joint_types or (REVOLUTE,) * self.links))
         if self.weights is not None:
             object.__setattr__(self, "weights", readonly(self.weights))
 
@@ -322,7 +321,7 @@ class Plan(ByValue):
     @property
     def columns(self) -> Columns:
         """Name, with the unit in which it is shown, -> (m,) positions of each joint, as the controller counts."""
-        return posture_columns(self.postures, self.joint_types or None)
+        return posture_columns(self.postures, self.joint_types)
 
     @property
     def units(self) -> tuple[str, ...]:
@@ -340,7 +339,7 @@ class Plan(ByValue):
         return {"postures": shown, "joint_units": list(self.units)} if "mm" in self.units else {"postures_deg": shown}
 
     @classmethod
-    def load(cls, path: PathLike, joints: JointTypes = None, *, carried_out: bool = False, vias: bool = False) -> Self:
+    def load(cls, path: PathLike, joints: Joints = None, *, carried_out: bool = False, vias: bool = False) -> Self:
         """The CSV file `run,q1_deg,...,qn_deg[,kind][,weight]`, `# fit: ...` above, with conditions of the rows.
 
         joints : how many the arm has, or the type of each: a prismatic one has a column `q1_mm`
@@ -348,7 +347,8 @@ class Plan(ByValue):
         vias : read the way-points of the moves too, which nobody measures
         """
         table = read_table(path, vias=vias)
-        postures, weights, via, given = read_postures(table, joints), None, None, _units_of(table, "sigma", LENGTH)
+        kinds, weights, via, given = _joint_kinds(table, joints), None, None, _units_of(table, "sigma", LENGTH)
+        postures = read_postures(table, kinds)
         conditions = {"sigma": read_column(table, "sigma", LENGTH, SIGMA_RANGE) if carried_out and given else None}
         if vias and "kind" in table:
             via = (table.frame["kind"].str.strip_chars() == VIA).fill_null(False).to_numpy()
@@ -358,20 +358,18 @@ class Plan(ByValue):
                 if abs((total := float(np.sum(weights))) - 1.0) > 1e-6:
                     wrong = f"found a sum of {total:.9g}, allowed: 1 (within 1e-06)"
                     raise InputError(f"{table.path}: column weight: {wrong}")
-            n = postures.shape[1]
-            conditions = _conditions(table, n if joints is None else joints, ("payload_kg", "temperature_C"))
-            further = ("run", "weight", "payload_kg", "temperature_C", "cup", *(f"direction{j + 1}" for j in range(n)))
-            table.warn_unused(further)
+            conditions = _conditions(table, kinds, ("payload_kg", "temperature_C"))
+            directions = (f"direction{j + 1}" for j in range(len(kinds)))
+            table.warn_unused(("run", "weight", "payload_kg", "temperature_C", "cup", *directions))
         cells = {name: table.frame[name].fill_null("").to_list() for name in table.frame.columns if name != "run"}
-        types = () if joints is None or isinstance(joints, int) else joints
-        return cls(postures, weights, types, table.fit, via, cells, conditions)
+        return cls(postures, weights, kinds, table.fit, via, cells, conditions)
 
     @classmethod
     def of_displayed(cls, displayed: Array, joint_types: Sequence[str]) -> Self:
         """The plan whose `displayed` postures (m, n) are these."""
-        units = [UNITS[_quantity(joint_types, j)] for j in range(1, len(joint_types) + 1)]
-        scaled = displayed * [next(iter(each.values())) for each in units]
-        return cls(counting_in(joint_types, len(joint_types)).joints(scaled), joint_types=joint_types)
+        kinds = JointKinds(joint_types)
+        scaled = displayed * [next(iter(UNITS[QUANTITIES[kind]].values())) for kind in kinds]
+        return cls(kinds.counting.joints(scaled), joint_types=kinds)
 
     def to_html(self, caption: object) -> str:
         """A caption and the postures, for notebooks."""
@@ -383,20 +381,19 @@ class Plan(ByValue):
         cells = [[str(run), *(f"{x:.6g}" for x in row)] for run, row in enumerate(rows, start=1)]
         return html(Sheet(["run", *columns], cells))
 
-    def text(self, joint_types: JointTypes = None, further: Mapping[str, ArrayLike] | None = None) -> str:
+    def text(self, further: Mapping[str, ArrayLike] | None = None) -> str:
         """The text of a plan file; `load` reads the same from it, to rounding (1e-14 rad).
 
-        joint_types : None: those of the plan;  further : columns of names, one for each run
+        further : columns of names, one for each run
 
         With way-points directions no longer follow from the order of the measurements: they are columns then.
         """
-        types = joint_types or self.joint_types or None
         measured = np.ones(len(self), dtype=bool) if self.via is None else ~self.via
         columns: Columns = {"run": np.where(measured, np.cumsum(measured), np.nan)}
         columns |= {} if self.via is None else {"kind": np.where(measured, MEASURE, VIA)}
-        columns |= posture_columns(self.postures, types)
+        columns |= self.columns
         if not measured.all():
-            shown = counting_in(types, self.links).columns(self.postures)
+            shown = self.joint_types.counting.columns(self.postures)
             signs = np.where(measured[:, None], directions_from_order(np.round(shown, 9)), np.nan)
             columns |= {f"direction{j}": column for j, column in enumerate(signs.T, start=1)}
         for name, values in (further or {}).items():
@@ -416,7 +413,7 @@ def load_targets(path: PathLike, arm: Arm) -> dict[str, Any]:
     """
     table, axes = read_table(path), arm.chain.axes
     has_positions = any(f"{axis}_{unit}" in table for axis in axes for unit in UNITS[LENGTH])
-    has_postures = bool(_joint_columns(table, arm.joint_types))
+    has_postures = bool(_joint_columns(table))
     if not has_positions and not has_postures:
         allowed = f"{', '.join(f'{axis}_mm' for axis in axes)}, or q1_deg..q{arm.links}_deg"
         raise InputError(f"{path}: found columns {', '.join(table.frame.columns)}, allowed: {allowed}")

@@ -131,7 +131,7 @@ class Counting:
 
 
 class JointKinds(tuple[str, ...]):
-    """(n) `revolute` or `prismatic`, and how a controller counts these joints, None: as they are drawn.
+    """(n) `revolute` or `prismatic`, and how a controller counts these joints, None: as those kinds say, or are drawn.
 
     Whatever reads or writes angles of a file needs to know of each joint whether these are degrees or millimetres: the
     counting goes with that.
@@ -141,13 +141,8 @@ class JointKinds(tuple[str, ...]):
 
     def __new__(cls, kinds: Iterable[str], counting: Counting | None = None) -> JointKinds:
         joint_kinds = super().__new__(cls, tuple(kinds))
-        joint_kinds.counting = counting or Counting.usual(len(joint_kinds))
+        joint_kinds.counting = counting or getattr(kinds, "counting", None) or Counting.usual(len(joint_kinds))
         return joint_kinds
-
-
-def counting_in(kinds: Any, n: int) -> Counting:
-    """How the n joints of `JointKinds` are counted; as drawn for other sequences, numbers of joints, None."""
-    return kinds.counting if isinstance(kinds, JointKinds) else Counting.usual(n)
 
 
 def check_kinds(counting: Counting, kinds: Sequence[str]) -> None:

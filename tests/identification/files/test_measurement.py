@@ -137,7 +137,7 @@ BAD = [  # arm, text, what is named
         (SPATIAL, SLIDING.replace(old, new), [part])
         for old, new, part in (
             ("q2_mm", "q2_deg", "column 'q2_mm' is missing"),
-            ("marker", "q3_deg", "found column q3_deg, but the arm has 2 links, allowed: q1_deg to q2_mm"),
+            ("marker", "q3_deg", "found column q3_deg, allowed: q1_deg to q2_mm"),
             ("marker", "q2_m", "found both q2_mm and q2_m, allowed: one of them"),
             ("side", "", "row 2 (line 3), column marker: found an empty cell, allowed: a name"),
         )
@@ -223,8 +223,8 @@ def test_positions_of_markers(load: Load) -> None:
 
 
 def test_plans_and_targets(tmp_path: Path) -> None:
-    path, plan = tmp_path / "plan.csv", Plan(np.array([[0.5, 50.0], [-0.5, 20.0]]))
-    path.write_text(text := plan.text(SPATIAL.joint_types))
+    path, plan = tmp_path / "plan.csv", Plan([[0.5, 50.0], [-0.5, 20.0]], joint_types=SPATIAL.joint_types)
+    path.write_text(text := plan.text())
     assert text.startswith("run,q1_deg,q2_mm\n")
     np.testing.assert_allclose(Plan.load(path, SPATIAL.joint_types).postures, plan.postures)
     positions = np.array([[1.0, 2.0, 3.0]])
@@ -272,7 +272,9 @@ def test_distances(load: Load, arm: Arm) -> None:
     np.testing.assert_array_equal(data.positions, [[412.5], [300.0]])
     assert data.sessions == ("a", "b")
     assert data.marker_names == (() if arm is BAR else ("a", "b"))  # in the plane each with a center of its own
-    assert replace(load(measurement_text(data, None, arm.chain.instrument), arm), provenance=data.provenance) == data
+    assert (
+        replace(load(measurement_text(data, instrument=arm.chain.instrument), arm), provenance=data.provenance) == data
+    )
 
 
 @pytest.mark.parametrize("arm", [BALL, FACE], ids=["sphere", "plane"])

@@ -28,7 +28,7 @@ from identification import (
 )
 from identification.estimation.doubts import outside_limits
 from identification.files.measurement import load_targets, measurement_text
-from identification.kinematics.counting import Counting, JointKinds, check_kinds, counting_in, joint_range, range_of
+from identification.kinematics.counting import Counting, JointKinds, check_kinds, joint_range, range_of
 from identification.simulate import simulate
 from tests.refusals import refused
 
@@ -67,8 +67,8 @@ def test_columns_and_joints(counting: Counting, random: object) -> None:
     assert again is not None  # perhaps said in another way
     np.testing.assert_array_equal(again.matrix, counting.matrix)
     kinds = JointKinds(["revolute"] * n, counting)
-    assert counting_in(pickle.loads(pickle.dumps(kinds)), n) == counting
-    np.testing.assert_array_equal(counting_in(("revolute",) * n, n).columns(q), q)
+    assert JointKinds(pickle.loads(pickle.dumps(kinds))).counting == counting
+    np.testing.assert_array_equal(JointKinds(("revolute",) * n).counting.columns(q), q)
 
 
 @given(countings(), st.randoms(use_true_random=False))
@@ -213,12 +213,9 @@ def test_a_plan_comes_back(tmp_path_factory: pytest.TempPathFactory, counting: C
     kinds = JointKinds(["revolute"] * n, counting)
     q = np.random.default_rng(random.randint(0, 99)).uniform(-3.0, 3.0, (4, n))  # type: ignore[attr-defined]
     path = tmp_path_factory.mktemp("plans") / "plan.csv"
-    for text in (Plan(q).text(kinds), Plan(q, joint_types=kinds).text()):
-        path.write_text(text)
-        np.testing.assert_allclose(Plan.load(path, kinds).postures, q, atol=1e-12)
-        np.testing.assert_allclose(
-            np.radians(Plan.load(path).postures * 180.0 / np.pi), counting.columns(q), atol=1e-12
-        )
+    path.write_text(Plan(q, joint_types=kinds).text())
+    np.testing.assert_allclose(Plan.load(path, kinds).postures, q, atol=1e-12)
+    np.testing.assert_allclose(np.radians(Plan.load(path).postures * 180.0 / np.pi), counting.columns(q), atol=1e-12)
 
 
 def test_measurements_and_targets(tmp_path: Path, arm: Arm) -> None:
@@ -237,7 +234,7 @@ def test_measurements_and_targets(tmp_path: Path, arm: Arm) -> None:
     assert known[:, :2].all()
     assert not known[:, 2].all()  # joint 2 falls, column 3 too: the joint may do either
     np.testing.assert_array_equal(again.directions[known], data.directions[known])
-    (tmp_path / "targets.csv").write_text(Plan(q).text(arm.joint_types))
+    (tmp_path / "targets.csv").write_text(Plan(q, joint_types=arm.joint_types).text())
     wanted = load_targets(tmp_path / "targets.csv", arm)["postures"]
     np.testing.assert_allclose(wanted, q, atol=1e-12)
     (tmp_path / "plan.csv").write_text("run,q1_deg,q2_deg,q3_deg,direction1,direction2,direction3\n1,1,2,3,1,-1,-1\n")
