@@ -41,7 +41,6 @@ from identification.model import Model
 from identification.model.placed import in_own_frame
 from identification.provenance import check_calibrated, extrapolated, familiar_range, outside, provenance_of
 from identification.simulate import SERVO, servo_shift
-from identification.workspace import PostureCondition
 
 TOLERANCE = 1e-6  # [mm] a target is reached if the model comes this close; so near may a constraint be missed
 QUICK = 20  # steps from a start: 99 of 100 that reach a target have reached it, the others creep along limits
@@ -50,7 +49,7 @@ FEW = 4  # postures that are kept for each goal
 BEND = 1e-7  # [rad] of a joint, for derivatives by differences
 SEEDS, NEAREST = 256, 16  # random postures, and how many of them each goal is searched from
 AT_ONCE = 8_000  # searches, for memory
-Constraints = Sequence[PostureCondition]
+Constraints = Sequence[Any]  # conditions on postures, see `compensate`
 
 
 def compensate(
@@ -72,7 +71,8 @@ def compensate(
         happened once in the session of the identification is over, as for `validate`, where no times are given
     orientations : (k, 3, 3) axes of a spatial arm's tool for the instrument at the targets; left out: any will do, but
         that where targets are left out, too, an arm that measures orientations keeps those of its nominal postures
-    constraints : that commands keep to, as of `doe.problem.constraints.constraints_of(Model(arm))`
+    constraints : that commands keep to: each has a `kind`, its name in messages, and `margin` of postures (m, n), which
+        are (m, k) [mm] and to be >= 0, as those of `doe.problem.constraints.constraints_of(Model(arm))`
 
     Where the arm has servo errors they are taken off the commands: the joints are to be read where the tip is right.
 

@@ -331,7 +331,7 @@ class Measurements(ByValue):
         return np.zeros(len(self)) if self.gaps is None else self.gaps
 
     @property
-    def _sequences(self) -> list[NDArray[np.int64]]:
+    def sequences(self) -> list[NDArray[np.int64]]:
         """Of each session, and behind each gap in it, the row numbers in the order of measurement."""
         ordered = (rows[np.argsort(self._order[rows], kind="stable")] for rows in self.session_rows)
         return [part for rows in ordered for part in np.split(rows, np.flatnonzero(self._gaps[rows])) if len(part)]
@@ -339,7 +339,7 @@ class Measurements(ByValue):
     @property
     def sequence(self) -> NDArray[np.int64]:
         """(m,) row numbers in the order of measurement, one session after another."""
-        return np.concatenate(self._sequences)
+        return np.concatenate(self.sequences)
 
     @cached_property
     def posture_numbers(self) -> NDArray[np.int64]:
@@ -408,7 +408,7 @@ class Measurements(ByValue):
         if self.directions is not None:
             return self.directions
         directions = np.empty(self.postures.shape)
-        for rows in self._sequences:
+        for rows in self.sequences:
             directions[rows] = directions_from_order(self.postures[rows], np.nan if self._gaps[rows[0]] else 1.0)
         return directions
 
@@ -418,7 +418,7 @@ class Measurements(ByValue):
         if self.past is not None:
             return self.past
         past = np.empty((*self.postures.shape, REMEMBERED))
-        for rows in self._sequences:
+        for rows in self.sequences:
             past[rows] = past_from_order(self.postures[rows])
         return past
 

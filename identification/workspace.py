@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar, Protocol
+from typing import ClassVar
 
 import numpy as np
 
@@ -121,20 +121,6 @@ class ColumnLimits:
 
 
 WorkspaceConstraint = ColumnLimits | WorkspaceBox | KeepOut | LineOfSight
-
-
-class PostureCondition(Protocol):
-    """What a posture must satisfy besides the joint limits, as computed by `doe.problem.constraints`.
-
-    kind : name in messages, as in the arm file
-    """
-
-    @property
-    def kind(self) -> str: ...
-
-    def margin(self, postures: Array) -> Array:
-        """(m, k) margins [mm] of postures (m, n), satisfied where >= 0."""
-        ...
 
 
 def circle_across(axis: Array) -> tuple[Array, Array]:

@@ -70,24 +70,16 @@ def load_measurements(path: PathLike, links: int | Arm | None = None) -> Measure
     coordinates = instrument.coordinates[: len(chain.axes)]
     read = [read_column(table, name, kind, LENGTH_RANGE if positive else None) for name, kind, positive in coordinates]
     conditions = _conditions(table, kinds, NUMBERS)
-    order, time, gaps = conditions.pop("order", None), conditions.pop("time_s", None), np.zeros(len(table), dtype=bool)
+    order, time = conditions.pop("order", None), conditions.pop("time_s", None)
     if order is not None and time is not None:  # time says more, if it says the same
         by_order, by_time = (np.argsort(each, kind="stable") for each in (order, time))
         if (differ := by_order != by_time).any():
             state = "order and time_s put the rows in different orders, allowed: the same order, or one column"
             raise InputError(f"{table.place(int(by_time[np.argmax(differ)]), 'time_s')}: {state}")
-    if order is not None and np.all(order == np.round(order)):  # it counts measurements, not all of which are there
-        for rows in [slice(None)] if session is None else [session == name for name in np.unique(session)]:
-            sequence = np.argsort(order[rows], kind="stable")
-            left_out = np.zeros(len(sequence), dtype=bool)
-            left_out[sequence[1:]] = np.diff(order[rows][sequence]) > 1.0
-            # before more than 3 of 4 rows: they are frames or labels, no counts, and none is missing
-            gaps[rows] = left_out & (left_out.mean() <= 0.75)
     measurements = Measurements(
         postures,
         np.column_stack(read) if read else np.zeros((len(table), instrument.dimension)),
         order if time is None else time,
-        gaps=gaps if gaps.any() else None,
         sigma=read_column(table, "sigma", LENGTH, SIGMA_RANGE) if _units_of(table, "sigma", LENGTH) else None,
         session=session,
         marker=marker,
@@ -97,6 +89,13 @@ def load_measurements(path: PathLike, links: int | Arm | None = None) -> Measure
         provenance=MappingProxyType({"file": Path(path).name, "sha256": table.sha256}),
         **conditions,
     )
+    if order is not None and np.all(order == np.round(order)):  # it counts measurements, not all of which are there
+        gaps = np.zeros(len(table))
+        for rows in measurements.sequences:
+            left_out = np.diff(order[rows], prepend=order[rows[0]]) > 1.0
+            # before more than 3 of 4 rows: they are frames or labels, no counts, and none is missing
+            gaps[rows] = left_out & (left_out.mean() <= 0.75)
+        measurements = replace(measurements, gaps=gaps if gaps.any() else None)
     hint = ""
     if not instrument.reads_positions and "x_mm" in table:
         hint = f"[instrument] {instrument.kind} of the arm file reads no positions; for a tracker leave it out"
