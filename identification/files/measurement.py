@@ -282,7 +282,7 @@ class Plan(ByValue):
 
     postures: Array
     weights: Array | None = None
-    joint_types: JointKinds = ()  # type: ignore[assignment]
+    joint_types: Sequence[str] = ()
     fit: str = ""
     via: NDArray[np.bool_] | None = None
     cells: Mapping[str, Sequence[str]] = field(default_factory=dict)
@@ -392,7 +392,7 @@ class Plan(ByValue):
         columns |= {} if self.via is None else {"kind": np.where(measured, MEASURE, VIA)}
         columns |= self.columns
         if not measured.all():
-            shown = self.joint_types.counting.columns(self.postures)
+            shown = JointKinds(self.joint_types).counting.columns(self.postures)
             signs = np.where(measured[:, None], directions_from_order(np.round(shown, 9)), np.nan)
             columns |= {f"direction{j}": column for j, column in enumerate(signs.T, start=1)}
         for name, values in (further or {}).items():
