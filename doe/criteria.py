@@ -14,40 +14,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from identification import Array, InputError, log_determinants
+from identification import Array, log_determinants
 
 NAMES = ("D", "A", "E", "I", "Ds", "Dstar")
 Term = tuple[float, NDArray[np.intp]]  # sign, rows
-
-
-def criterion(
-    name: str,
-    *,
-    units: Sequence[str] = (),
-    subset: Sequence[int] | None = None,
-    test_jacobians: Array | None = None,
-) -> Criterion:
-    """The criterion of a name as in `--criterion`.
-
-    units : of the p parameters, for Dstar;  subset : indices (from 0) of the parameters that matter, for Ds
-    test_jacobians : (k, d, p) `DesignProblem.scaled_jacobians` at the test poses, for I
-    Raises `InputError` for an unknown name, and where what the criterion needs is missing.
-    """
-    if name not in NAMES:
-        raise InputError.unknown("criterion: unknown name", name, NAMES)
-    if name == "I":
-        if test_jacobians is None or not len(test_jacobians):
-            raise InputError(
-                "criterion: I needs test poses, none are given, allowed: at least one posture (--test-poses)"
-            )
-        return I(test_jacobians)
-    if name == "Ds":
-        if not subset or not set(subset) <= set(range(len(units) or max(subset) + 1)):
-            chosen = list(subset) if subset else "none"
-            raise InputError(f"criterion: Ds needs a subset (--subset), found {chosen}, allowed: one parameter or more")
-        return Ds(tuple(subset))
-    plain: dict[str, Criterion] = {"D": D(), "A": A(), "E": E()}
-    return DStar.by_unit(units) if name == "Dstar" else plain[name]
 
 
 class Criterion(ABC):

@@ -63,8 +63,8 @@ def design_problem(
 ) -> DesignProblem:
     """The problem that the options describe, of a plan of so many runs. Raises `InputError` for files and names that do
     not fit."""
-    from doe.criteria import NAMES, criterion
-    from doe.plan.accuracy import missing_effects, robust_problem, tip_jacobians
+    from doe.criteria import NAMES
+    from doe.plan.accuracy import criterion_of, missing_effects, robust_problem
     from identification import Plan, design_model
 
     name = wanted.criterion or ("I" if wanted.robust else "D")
@@ -96,17 +96,7 @@ def design_problem(
         problem = replace(robust_problem(problem, counted), fit=fit)
     if not wanted.robust or name != "I" or wanted.test_poses is not None:
         poses = None if wanted.test_poses is None else Plan.load(wanted.test_poses, arm.joint_types).postures
-        names = problem.model.parameters.names
-        for word in wanted.subset or ():
-            if word not in names:
-                raise InputError.unknown("--subset: unknown parameter", word, names)
-        chosen = criterion(
-            name,
-            units=list(problem.model.parameters.units),
-            subset=None if wanted.subset is None else [names.index(word) for word in wanted.subset],
-            test_jacobians=None if poses is None else tip_jacobians(problem, poses),
-        )
-        problem = replace(problem, criterion=chosen)
+        problem = replace(problem, criterion=criterion_of(problem, name, wanted.subset or (), poses))
     return problem
 
 

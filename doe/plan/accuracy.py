@@ -22,7 +22,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from doe.criteria import A, Criterion, D, Ds, DStar, E, I, information_matrix, inverses
+from doe.criteria import NAMES, A, Criterion, D, Ds, DStar, E, I, information_matrix, inverses
 from doe.problem.model import NEEDS_SIGMA, offered, offers
 from doe.problem.postures import connected, half_at_limits, listed_candidates, random_postures
 from doe.problem.problem import DesignProblem
@@ -136,6 +136,30 @@ def criterion_values(problem: DesignProblem, postures: Array, weights: Array | N
         criteria |= {"Ds": Ds(lengths), "Dstar": DStar.by_unit(units)}
     values = {name: replace(problem, criterion=one).objective(postures, weights) for name, one in criteria.items()}
     return {name: value if np.isfinite(value) else None for name, value in values.items()}
+
+
+def criterion_of(
+    problem: DesignProblem, name: str, subset: Sequence[str] = (), poses: Array | None = None
+) -> Criterion:
+    """The criterion of a name as in `--criterion`.
+
+    subset : names of the parameters that matter, for Ds;  poses : (k, n) test poses [rad], for I
+    Raises `InputError` for an unknown name, and where what the criterion needs is missing.
+    """
+    parameters = problem.model.parameters
+    if name == "I":
+        if poses is None or not len(poses):
+            found = "criterion: I needs test poses, none are given"
+            raise InputError(f"{found}, allowed: at least one posture (--test-poses)")
+        return average_error(problem, poses)
+    if name == "Ds":
+        if not subset:
+            raise InputError("criterion: Ds needs a subset (--subset), found none, allowed: one parameter or more")
+        return Ds(tuple(parameters.index(word) for word in subset))
+    plain: dict[str, Criterion] = {"D": D(), "A": A(), "E": E(), "Dstar": DStar.by_unit(parameters.units)}
+    if name not in plain:
+        raise InputError.unknown("criterion: unknown name", name, NAMES)
+    return plain[name]
 
 
 # -- arms whose model may lack something -----------------------------------------------------------------------------

@@ -111,7 +111,7 @@ class DesignProblem:
         model = design_model(self.model)
         check_model(model)
         if not callable(getattr(self.criterion, "value", None)):
-            allowed = "an object with value(), such as doe.criteria.criterion('A', ...)"
+            allowed = "an object with value(), such as doe.criteria.A()"
             raise InputError(f"criterion: {self.criterion!r:.40}, allowed: {allowed}")
         n = len(model.joint_types)
         usual = {"lower": model.lower, "upper": model.upper, "kept": np.empty((0, n))}

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import polars as pl
 
-from doe.criteria import criterion
 from doe.jobs import Key, Row, call, run_tasks, short_hash
+from doe.plan.accuracy import criterion_of
 from doe.problem.problem import DesignProblem
 from doe.solvers import Solver, available_solvers, solve
 from doe.solvers.solving import check_runs
@@ -104,7 +104,7 @@ def run_of(key: dict[str, Any], seed: np.random.SeedSequence, task: tuple[Arm, s
 def compared_problem(arm: Arm, name: str) -> DesignProblem:
     """Of an arm, with a criterion of `CRITERIA`."""
     problem = DesignProblem.of(arm)
-    return replace(problem, criterion=criterion(name, units=problem.model.parameters.units))
+    return replace(problem, criterion=criterion_of(problem, name))
 
 
 def evaluated(runs: int, design: Design) -> Row:

@@ -408,8 +408,3 @@ def recorded(truth: TrueArm, run: RowConditions, error: Array) -> Measurements:
     marker = {"marker": np.array(names)[run.marker], "marker_names": names} if len(names) > 1 else {}
     order, temperature = np.arange(len(run.q), dtype=float), 20.0 + run.warm
     return Measurements(run.q, position(truth, run) + error, order, temperature=temperature, directions=run.s, **marker)
-
-
-def measure(truth: TrueArm, run: RowConditions, rng: np.random.Generator, kind: str = "white") -> Measurements:
-    """What the instrument says, with noise of this kind."""
-    return recorded(truth, run, noise(truth, run, rng, kind))

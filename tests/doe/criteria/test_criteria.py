@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from doe import D, DesignProblem
 from doe.bounds.certificate import ApproximateDesign
 from doe.criteria import (
-    NAMES,
     A,
     Criterion,
     Ds,
@@ -18,12 +17,11 @@ from doe.criteria import (
     E,
     I,
     PowerMean,
-    criterion,
     information_matrix,
     inverses,
     log_determinants,
 )
-from identification import Arm, InputError, Model, Plan, spectrum
+from identification import Arm, Model, Plan, spectrum
 
 P = 6
 POSES = np.random.default_rng(42).normal(size=(5, 2, P))
@@ -164,19 +162,6 @@ def test_stand_ins_of_criteria_without_derivatives() -> None:
     """Searches climb Phi_32 instead of E; a smooth criterion stands for itself."""
     assert E().smooth == PowerMean(32)
     assert D().smooth == D()
-
-
-def test_names() -> None:
-    for name in NAMES:
-        made = criterion(name, units=("mm", "mm", "rad", "rad"), subset=(0, 1), test_jacobians=POSES)
-        assert made.name == name
-    assert criterion("Dstar", units=("mm", "mm", "rad", "rad")) == DStar(((0, 1), (2, 3)))
-    with pytest.raises(InputError, match="did you mean 'Ds'"):
-        criterion("Dss")
-    with pytest.raises(InputError, match="I needs test poses"):
-        criterion("I")
-    with pytest.raises(InputError, match="Ds needs a subset"):
-        criterion("Ds", units=("mm",), subset=(3,))
 
 
 # -- one rank rule -----------------------------------------------------------------------------------------------------

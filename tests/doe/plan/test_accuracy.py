@@ -10,12 +10,13 @@ import pytest
 
 from doe import DesignProblem, score
 from doe.bounds.certificate import Bound
-from doe.criteria import E
+from doe.criteria import NAMES, Ds, DStar, E
 from doe.plan.accuracy import (
     ExpectedDeviations,
     ExpectedTip,
     TipErrors,
     average_error,
+    criterion_of,
     criterion_values,
     error_at_poses,
     missing_effects,
@@ -24,7 +25,7 @@ from doe.plan.accuracy import (
     tip_jacobians,
     workspace,
 )
-from identification import Arm, Array, Calibration, EffectSpec, Model
+from identification import Arm, Array, Calibration, EffectSpec, InputError, Model
 from identification.gap.library_prior import library_prior
 from tests.doe.arms import ECCENTRICITY, FOUR, OFFSET, problem
 from tests.doe.six_axis import six_axis
@@ -48,6 +49,22 @@ def test_optimal_plan(runs: int) -> None:
     if runs == 20:  # Table III of the paper, to its printed digits
         np.testing.assert_allclose(found.length, 0.022, atol=5e-4)
         np.testing.assert_allclose(np.degrees(found.orientation), [0.005, 0.007, 0.011, 0.013], atol=5e-4)
+
+
+def test_names_of_criteria() -> None:
+    case, poses = problem(FOUR), np.zeros((1, 4))
+    for name in NAMES:
+        assert criterion_of(case, name, ["length_error:1"], poses).name == name
+    assert criterion_of(case, "Dstar") == DStar(((0, 1, 2, 3), (4, 5, 6, 7)))
+    assert criterion_of(case, "Ds", ["joint_offset:1"]) == Ds((4,))
+    with pytest.raises(InputError, match="did you mean 'Ds'"):
+        criterion_of(case, "Dss")
+    with pytest.raises(InputError, match="I needs test poses"):
+        criterion_of(case, "I")
+    with pytest.raises(InputError, match="Ds needs a subset"):
+        criterion_of(case, "Ds")
+    with pytest.raises(InputError, match="'length', allowed: joint_offset:1, "):
+        criterion_of(case, "Ds", ["length"])
 
 
 def test_value_of_criterion_i_in_mm() -> None:

@@ -44,7 +44,8 @@ def simulated(
 ) -> Measurements:
     """A session of random postures with white noise, in the order of measurement."""
     run = simulator.session(TRUTH, rng.uniform(low, high, (m, 3)), rng)
-    return simulator.measure(replace(TRUTH, effects=effects), run, rng, "white")
+    truth = replace(TRUTH, effects=effects)
+    return simulator.recorded(truth, run, simulator.noise(truth, run, rng))
 
 
 @cache
@@ -57,7 +58,8 @@ def measured(name: str | None, seed: int = 1, m: int = 60) -> Measurements:
         drawn = name, joint, cells.directions(TRUTH, name, joint, np.random.default_rng(7))
         others = cells.library_columns(TRUTH, run) if name in cells.OUTSIDE else None
         effects = [cells.sized(TRUTH, run, drawn, 25.0, others)]
-    return simulator.measure(replace(TRUTH, effects=effects), run, rng, "white")
+    truth = replace(TRUTH, effects=effects)
+    return simulator.recorded(truth, run, simulator.noise(truth, run, rng))
 
 
 @cache
@@ -307,7 +309,7 @@ def test_on_a_grid_the_ripples_that_an_effect_imitates_are_told() -> None:
     rng = np.random.default_rng(3)
     run = simulator.session(TRUTH, np.radians(10.0) * rng.integers(-18, 18, (60, 3)), rng)
     truth = replace(TRUTH, effects=[(RIPPLE, 2, {"k": 35, "a": 8e-4, "b": 6e-4})])
-    named = diagnose(ARM, simulator.measure(truth, run, rng, "white"))
+    named = diagnose(ARM, simulator.recorded(truth, run, simulator.noise(truth, run, rng)))
     assert named.effects == ("encoder_eccentricity:2",)
     like = {other: alike for effect, other, alike in named.aliases if effect == "encoder_eccentricity:2"}
     assert [like[f"{RIPPLE}:2[k={k}]"] for k in (35, 37)] == pytest.approx([1.0, 1.0])
@@ -348,7 +350,10 @@ def test_an_error_of_any_form_is_written_at_its_place_and_predicts_other_rows(na
     rng = np.random.default_rng(8)
     run, fresh = (simulator.session(TRUTH, rng.uniform(-np.pi, np.pi, (120, 3)), rng) for _ in range(2))
     truth = replace(TRUTH, effects=[cells.physics_effect(TRUTH, run, name, 40.0, rng)])
-    data, other = simulator.measure(truth, run, rng), simulator.recorded(truth, fresh, np.zeros((120, 2)))
+    data, other = (
+        simulator.recorded(truth, run, simulator.noise(truth, run, rng)),
+        simulator.recorded(truth, fresh, np.zeros((120, 2))),
+    )
     found = diagnose(ARM, data)
     assert found.verdict == "unknown"
     assert str(found.where).startswith(place)
@@ -380,7 +385,7 @@ def test_rows_that_err_alike_are_weighed_as_such() -> None:
     rng = np.random.default_rng(4)
     exact = replace(TRUTH, sigma=1e-9)
     run = simulator.session(exact, rng.uniform(-np.pi, np.pi, (60, 3)), rng)
-    data, noise = simulator.measure(exact, run, rng, "white"), 0.1 * rng.normal(size=(60, 2))
+    data, noise = simulator.recorded(exact, run, simulator.noise(exact, run, rng)), 0.1 * rng.normal(size=(60, 2))
     for k in range(1, 60):
         noise[k] = 0.95 * noise[k - 1] + np.sqrt(1.0 - 0.95**2) * noise[k]
     noisy = replace(data, positions=data.positions + noise)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from doe.studies.blind.cells import CellSpec, arm_of, truth_of
-from doe.studies.blind.simulator import measure, session
+from doe.studies.blind.simulator import noise, recorded, session
 from identification import Arm, DHRow, EffectSpec, Gravity, Measurements, Model, chain_of, detectability, diagnose
 from identification.gap.blocks import hypotheses, untested_joints
 from identification.gap.fit import Fitted, Rows, determined, fit
@@ -71,7 +71,7 @@ def test_an_axis_that_wobbles_is_unknown_at_its_joint() -> None:
     cell, generator = CellSpec([60], space=True), np.random.default_rng(9)
     truth = replace(truth_of(cell, generator), sigma=0.05, effects=[("axis_wobble", 3, {"c": 3e-4})])
     run = session(truth, generator.uniform(truth.lower, truth.upper, (60, 6)), generator)
-    found = diagnose(arm_of(truth), measure(truth, run, generator))
+    found = diagnose(arm_of(truth), recorded(truth, run, noise(truth, run, generator)))
     assert (found.verdict, found.where) == ("unknown", "joint:3")
     assert found.shape == "tilt or shift across the axis"
 
@@ -86,7 +86,7 @@ def test_a_heavy_load_beside_the_reflector(said: bool) -> None:
     away, compliance = np.array([180.0, -120.0, 100.0]), [("joint_compliance", None, {"c": np.full(6, 4e-6)})]
     truth = replace(truth, payload=15.0, sigma=0.05, load=truth.tools[0] + away, effects=compliance)
     run = session(truth, generator.uniform(truth.lower, truth.upper, (100, 6)), generator)
-    data, arm = measure(truth, run, generator), arm_of(truth)
+    data, arm = recorded(truth, run, noise(truth, run, generator)), arm_of(truth)
     assert arm.gravity is not None
     if said:
         arm = replace(arm, gravity=replace(arm.gravity, payload_at=truth.load))
