@@ -6,7 +6,8 @@ Which of the names that are allowed somebody may have meant: misspelt or shorten
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from difflib import get_close_matches
 from typing import Self
 
@@ -27,6 +28,16 @@ class InputError(ArmcalError):
         """Of a name that is not allowed: `solver: unknown name 'ipot', did you mean 'ipopt'? allowed: ...`;  what : the
         place, and what the name is there"""
         return cls(f"{what} {name!r}, {nearest(name, allowed)}")
+
+    @classmethod
+    @contextmanager
+    def at(cls, place: object, *others: str) -> Iterator[None]:
+        """What is raised within is said of this place, unless it begins with it, or with one of others."""
+        try:
+            yield
+        except cls as error:
+            placed = str(error).startswith((f"{place}: ", *others))
+            raise cls(str(error) if placed else f"{place}: {error}") from None
 
 
 class JobError(ArmcalError):

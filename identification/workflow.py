@@ -278,10 +278,8 @@ def simulate_files(arm: Path, plan: Path, *, truth: Path, out: Written, force: b
         if not effect.scatter and not any(p.short in spec.values or p.name in calibrated for p in effect.parameters):
             keys = ", ".join(p.toml_key for p in effect.parameters)
             warnings.warn(f"{truth}: {effect.key} has no value and does nothing; it has {keys}", stacklevel=2)
-    try:
+    with InputError.at(truth):
         data = simulate(true_arm, wanted.postures, np.random.default_rng(seed), sigma=sigma, **wanted.conditions)
-    except InputError as error:
-        raise InputError(f"{truth}: {error}") from None
     text = measurement_text(replace(data, fit=wanted.fit), loaded.joint_types, loaded.chain.instrument)
     summary = {"rows": len(data), "links": data.links, "sigma_mm": sigma, "out": out}
     return Answer(summary, result=data, files={out: (f"{len(data)} measurements, sigma {sigma:g} mm,", text)})
@@ -374,10 +372,8 @@ def identify_files(
         wide, held = (with_sessions(bare, rows), Prior()) if effects is None else (effects.arm, effects.prior)
         model = reuse.only(wide, [*chosen, *held.deviations], rows) if chosen else Model(wide)
         if old is not None:
-            try:
+            with InputError.at(prior_from):
                 held = replace(held, earlier=reuse.earlier(old, model, rows))
-            except InputError as error:
-                raise InputError(f"{prior_from}: {error}") from None
         return with_repeats_doubted(estimation.estimate(model, rows, prior=held), rows)
 
     # the fit

@@ -76,10 +76,8 @@ def design_problem(
     model, restrictions = design_model(arm), dict[str, Any]()
     if keep is not None:
         measured = Plan.load(keep, arm.joint_types, carried_out=True)
-        try:
+        with InputError.at(keep):
             restrictions["kept"], restrictions["kept_excess"] = model.measured_already(measured)
-        except InputError as error:
-            raise InputError(f"{keep}: {error}") from None
     if candidates is not None:
         choices = restrictions["choices"] = Plan.load(candidates, arm.joint_types).postures
         tell_of_candidates(candidates, doe.DesignProblem.of(model, choices=choices), choices)
@@ -105,10 +103,8 @@ def tell_of_candidates(path: Path, problem: DesignProblem, postures: Any) -> Non
     is."""
     from doe.problem.postures import listed_candidates
 
-    try:
+    with InputError.at(path):
         left_out = len(postures) - len(listed_candidates(problem, postures))
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
     if left_out:
         apart = f"{left_out} of {len(postures)} postures are outside the limits or a constraint, and not chosen from"
         warnings.warn(f"{path}: {apart}", UserWarning, stacklevel=2)
@@ -490,10 +486,8 @@ def program_files(
     if file.weights is not None:
         raise InputError(f"{plan}: found weights, allowed: an exact plan, each row a measurement or a way-point")
     options: dict[str, Any] = {"speed": speed, "settle": settle, "name": out.stem, "template": template}
-    try:
+    with InputError.at(plan, "--", str(template)):
         made = program(loaded, file, robot, **options)
-    except InputError as error:
-        raise InputError(str(error) if str(error).startswith(("--", str(template))) else f"{plan}: {error}") from None
     runs, vias = len(file.measured), len(file) - len(file.measured)
     data = {"robot": robot, "runs": runs, "vias": vias, **made._asdict()}
     text = data.pop("text")

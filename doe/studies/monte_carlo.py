@@ -64,10 +64,8 @@ class Study:
                     raise InputError(f"plans: {name} has {plan.links} joints, allowed: {arm.links} as arm {arm.name}")
             for what, entries in (("truths", asked.truths), ("models", asked.models)):
                 for entry in entries:
-                    try:
+                    with InputError.at(f"{what}: {entry.name} with arm {arm.name}"):
                         model = entry.model(arm)
-                    except InputError as error:
-                        raise InputError(f"{what}: {entry.name} with arm {arm.name}: {error}") from None
                     least.append(-(-len(model.names) // (model.dimension * len(model.arm.chain.tools))))
         most = max(*asked.runs, *(len(plan) for plan in plans.values() if plan is not None), 0, 0)
         if most < min(least):
@@ -82,11 +80,9 @@ class Study:
 
         Raises `InputError`, one line naming file, key, what was found and what is allowed.
         """
-        try:
+        with InputError.at(path):
             arms, plans, others = StudyFile.read(path, replications)
             return cls.of(arms, plans, **others)
-        except InputError as error:
-            raise InputError(str(error) if str(error).startswith(f"{path}: ") else f"{path}: {error}") from None
 
     def tasks(self, made: pl.DataFrame) -> Iterator[tuple[Key, Cell | str]]:
         """Key and payload of every block; a cell that cannot be simulated has one block, whose row says why."""

@@ -62,10 +62,8 @@ def load_arm(path: PathLike | Mapping[str, Any], package_dirs: Sequence[PathLike
     for folder in package_dirs:
         if not Path(folder).is_dir():
             raise InputError(f"--package-dir: {folder} is not a folder, allowed: an existing one with meshes")
-    try:
+    with InputError.at(path):
         arm = arm_from_tables(tables, Path(path).parent, package_dirs)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
     if 0.0 < arm.reach < 10.0:
         message = f"the arm reaches {arm.reach:.4g} mm, which looks like metres; write millimetres"
         warnings.warn(f"{path}: {message}", UserWarning, stacklevel=2)
