@@ -31,11 +31,6 @@ def places_of_free_joint(problem: DesignProblem) -> int:
     return max(1, int(width / max(problem.minimum_distance, 1e-9) * ROUNDING))
 
 
-def distance_to_keep(problem: DesignProblem) -> float:
-    """[rad] by which a search keeps postures apart in its joints; 0 where spreading a free joint sets them apart."""
-    return problem.minimum_distance if places_of_free_joint(problem) == 1 and problem.choices is None else 0.0
-
-
 def allowed_value(problem: DesignProblem, postures: Array) -> float:
     """Criterion value of a plan; -inf if a posture violates a constraint or is a repeat that is not allowed."""
     allowed = problem.feasible(postures).all() and not len(too_near(problem, postures))

@@ -13,7 +13,7 @@ import numpy as np
 from doe.bounds.certificate import ApproximateDesign
 from doe.design import BEST_KNOWN, Design
 from doe.plan.moves import unproven
-from doe.plan.spacing import distance_to_keep
+from doe.plan.spacing import places_of_free_joint
 from doe.problem.clearance import Clearance, distance_in_words, said_of_collisions
 from doe.problem.model import offers
 from doe.problem.problem import DesignProblem
@@ -111,22 +111,23 @@ def posture_headings(plan: Plan) -> list[str]:
 def remarks(design: Design) -> list[str]:
     """How many postures are measured already; why there is no log det, where there is none; and what the rule against
     repeats may cost, where a search kept it and the bound is not reached."""
-    lines, runs, apart = list[str](), len(design.plan), design.problem.spacing
-    alike = ", under one payload, temperature, time and approach" * bool(getattr(design.problem.model, "needs", ()))
-    if kept := len(design.problem.kept):
+    problem, lines, runs, apart = design.problem, list[str](), len(design.plan), design.problem.spacing
+    alike = ", under one payload, temperature, time and approach" * bool(getattr(problem.model, "needs", ()))
+    if kept := len(problem.kept):
         lines.append(f"every figure is of these runs and the {kept} measured already (--keep) in one session{alike}")
     if not np.isfinite(design.log_det):
-        still, combinations = design.problem.without_effect, design.not_identifiable
+        still, combinations = problem.without_effect, design.not_identifiable
         why = f"not estimable from the plan: {', '.join(combinations[:4])}{', ...' * (len(combinations) > 4)}{alike}"
         if not combinations:
             why = "the information matrix of the plan is singular to the precision of the computer"
         elif still:
             why = f"under one payload, temperature, time and approach nothing depends on {', '.join(still)}"
         lines.append(f"no log det: {why}")
+    moved_apart = problem.minimum_distance > 0.0 and problem.choices is None and places_of_free_joint(problem) == 1
     better = "armcal design --repeats lets them be equal, which can be better"
     if design.solver == "random" and runs > LONG_PLAN:  # what a search of so many runs begins from
         lines.append(f"the plan is random: none was found that is better with {runs} postures {apart} apart; {better}")
-    elif design.solver and not design.certified_optimal and runs > 1 and distance_to_keep(design.problem) > 0.0:
+    elif design.solver and not design.certified_optimal and runs > 1 and moved_apart:
         lines.append(f"postures are kept {apart} apart; {better}")
     return lines
 

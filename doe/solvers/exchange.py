@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 
 from doe.criteria import Ranking, information_matrix
 from doe.plan.ascent import PlanAscent
-from doe.plan.spacing import distance_to_keep, gaps
-from doe.problem.postures import fill, listed_candidates, random_postures
+from doe.problem.postures import listed_candidates, random_postures
 from doe.problem.problem import DesignProblem, information_of_each
 from doe.solvers.solver import Budget, Offer
 from identification import Array, InputError
@@ -104,15 +103,10 @@ class Exchange:
     def begin(self, problem: DesignProblem, count: int, runs: int, generator: Generator) -> Array:
         """(s, m, n) random plans on the grid, where many optimal plans are, so that a start ends exactly at one; joints
         that play no part stay in the middle."""
-        grid = self.grid(problem)
-
-        def on_grid(size: int) -> Array:
-            postures = np.tile((problem.lower + problem.upper) / 2.0, (size, 1))
-            for joint in problem.searched_joints:
-                postures[:, joint] = grid[joint, generator.integers(grid.shape[1], size=size)]
-            return postures
-
-        return fill(problem, count * runs, on_grid, generator).reshape(count, runs, problem.joints)
+        grid, plans = self.grid(problem), np.tile((problem.lower + problem.upper) / 2.0, (count, runs, 1))
+        for joint in problem.searched_joints:
+            plans[..., joint] = grid[joint, generator.integers(grid.shape[1], size=(count, runs))]
+        return plans
 
     def grid(self, problem: DesignProblem) -> Array:
         """(n, L) values of every joint, limits included."""
@@ -182,21 +176,14 @@ class Batch:
 
     def _exchange(self, starts: NDArray[np.intp], run: int) -> None:
         """Move one run of some starts to the best posture that differs in one joint."""
-        problem, old, levels = self.problem, self.jacobians[starts, run], self.offered.shape[1]
+        old, levels, joints = self.jacobians[starts, run], self.offered.shape[1], self.problem.searched_joints
         without = self.information[starts] - information_of_each(old)
-        joints = problem.searched_joints
         postures = np.repeat(self.plans[starts, run][:, None], len(joints) * levels, axis=1)  # (s, c, n)
         for k, joint in enumerate(joints):
             postures[:, k * levels : (k + 1) * levels, joint] = self.offered[joint]
-        # those that satisfy the constraints and repeat no other run of their plan
-        allowed, distance = problem.feasible(postures), distance_to_keep(problem)
-        for start, row in enumerate(starts.tolist() if distance > 0.0 else []):
-            others = np.concatenate([np.delete(self.plans[row], run, axis=0), problem.kept])
-            allowed[start] &= gaps(problem, postures[start], others).min(axis=1, initial=np.inf) >= distance
         jacobians = np.concatenate([self._jacobians(postures), old[:, None]], axis=1)  # the posture itself comes last
         values = self.criterion.values_after_adding(without, jacobians)
-        least = values[:, -1] + IMPROVEMENT
-        values = np.where(allowed, values[:, :-1], -np.inf)
+        values, least = values[:, :-1], values[:, -1] + IMPROVEMENT
         rows = np.flatnonzero(values.max(axis=1) > least)
         best, at = np.argmax(values[rows], axis=1), starts[rows]
         self.plans[at, run], self.jacobians[at, run] = postures[rows, best], jacobians[rows, best]

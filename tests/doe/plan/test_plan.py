@@ -14,7 +14,7 @@ from hypothesis.extra.numpy import arrays
 
 from doe import solve
 from doe.plan.moves import Room, approaches, route, shortest_path
-from doe.plan.spacing import distance_to_keep, separated, spread_free_joints, too_near, with_additions
+from doe.plan.spacing import places_of_free_joint, separated, spread_free_joints, too_near, with_additions
 from identification import Arm, Array, Plan
 from identification.kinematics.counting import Counting, JointKinds
 from tests.doe.arms import FOUR, OFFSET, problem
@@ -150,9 +150,8 @@ def test_plans_have_repeats_only_when_asked_for(solver: str) -> None:
 
 def test_a_free_joint_sets_postures_apart() -> None:
     case = problem(FOUR)
-    assert distance_to_keep(case) == 0.0
-    tied = problem(NARROW, OFFSET)  # a base offset: every joint plays a part
-    assert distance_to_keep(tied) == tied.minimum_distance
+    assert places_of_free_joint(case) == 360
+    assert places_of_free_joint(problem(NARROW, OFFSET)) == 1  # a base offset: every joint plays a part
     design = solve(case, 16)
     assert smallest_gap(design.plan.postures) >= np.radians(360 / 16) * (1 - 1e-9)
 
