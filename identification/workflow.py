@@ -64,6 +64,8 @@ def words(text: str) -> list[str]:
 Written = NewType("Written", Path)  # a file that a verb writes
 Folder = NewType("Folder", Path)  # that a verb writes files into
 Names = Annotated[list[str], words, "NAMES"]
+# of a model, postures and moves along others, where there are any: constraints, and what is known of collisions
+Allowed = Callable[..., tuple[Sequence[Any], dict[str, Any], list[str]]]
 
 
 # -- reading -----------------------------------------------------------------------------------------------------------
@@ -198,9 +200,7 @@ def check_files(
     data: Path,
     *,
     package_dir: tuple[Path, ...] = (),
-    constraints: Callable[[Any], Sequence[Any]] = lambda _: (),
-    said_of_collisions: Callable[..., tuple[dict[str, Any], list[str]]] = lambda *_: ({}, []),
-    moves: Callable[..., tuple[list[Any], list[str]]] = lambda *_: ([], []),
+    allowed: Allowed = lambda *_: ((), {}, []),
     progress: Progress = Progress(),
 ) -> Answer:
     """Are the measurements what they should be?
@@ -221,24 +221,22 @@ def check_files(
     from identification.model import Model
 
     loaded = load_arm(arm, package_dir)
-    allowed = constraints(Model(loaded)) if loaded.cell or loaded.constraints else ()
     if is_plan(read_table(data), loaded):
         plan, driven = (Plan.load(data, loaded.joint_types, vias=vias) for vias in (False, True))
-        q = plan.postures
+        q, moves = plan.postures, driven.postures if plan.weights is None else None
+        kept, near, lines = allowed(Model(loaded), q, moves)
         beyond = [np.minimum(q - loaded.lower, loaded.upper - q) + 1e-6]
-        beyond += [each.margin(q) + 1e-3 for each in allowed if each.kind != "clearance"]
+        beyond += [each.margin(q) + 1e-3 for each in kept if each.kind != "clearance"]
         outside = (np.flatnonzero(np.any(np.concatenate(beyond, axis=1) < 0.0, axis=1)) + 1).tolist()
-        near, lines = said_of_collisions(allowed, loaded.dimension, q)
         summary = f"{data}: a plan of {len(q)} runs, {len(outside)} of them outside joint limits or constraints"
         summary += f": {', '.join(map(str, outside))}" if outside else ""
-        not_free, doubts = moves(allowed, driven.postures) if plan.weights is None else ([], [])
-        answers = {"ok": not (outside or near.get("collisions") or not_free), "outside_limits": outside}
-        answers |= {"collisions": []} | near | {"moves": {"not_free": not_free}}
-        return Answer(answers, Document(parts=[summary, *lines, *doubts]))
+        answers = {"outside_limits": outside, "collisions": [], "moves": {"not_free": []}, **near}
+        fine = not (outside or answers["collisions"] or answers["moves"]["not_free"])
+        return Answer({"ok": fine, **answers}, Document(parts=[summary, *lines]))
     measurements = load_measurements(data, loaded)
     progress(0, None, f"trying readings of {len(measurements)} rows, and a fit of the geometry")
     inspection = inspect(loaded, measurements)
-    near, lines = said_of_collisions(allowed, loaded.dimension, measurements.postures)
+    _, near, lines = allowed(Model(loaded), measurements.postures)
     inspection.data.update(near)
     if "collisions" in near and inspection.data["better_reading"]:
         lines = ["Collisions: not looked at, since rows seem to be read wrongly."]
@@ -531,8 +529,7 @@ def compensate_files(
     out: Written | None = None,
     force: bool = False,
     package_dir: tuple[Path, ...] = (),
-    constraints: Callable[[Any], Sequence[Any]] = lambda _: (),
-    said_of_collisions: Callable[..., tuple[dict[str, Any], list[str]]] = lambda *_: ({}, []),
+    allowed: Allowed = lambda *_: ((), {}, []),
 ) -> Answer:
     """Joint commands that reach targets on the real arm.
 
@@ -552,12 +549,11 @@ def compensate_files(
 
     arm = load_arm(calibrated, package_dir)
     check_calibrated(arm, str(calibrated))
-    allowed = constraints(Model(arm)) if arm.constraints or arm.cell else ()
-    commands = compensate(arm, **load_targets(targets, arm), constraints=allowed)
+    kept, near, lines = allowed(Model(arm))
+    commands = compensate(arm, **load_targets(targets, arm), constraints=kept)
     files: Files = {out: ("commands", commands.text())}
-    known, lines = said_of_collisions(allowed, arm.dimension)
     document = commands.document().plus(*lines)
-    return Answer(commands.to_json() | known, document, commands, warnings=commands.warnings, files=files)
+    return Answer(commands.to_json() | near, document, commands, warnings=commands.warnings, files=files)
 
 
 # -- the library -------------------------------------------------------------------------------------------------------

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from identification.document import Document
 
 # parameters that are no options: a verb that names one is given it, as a test is given a fixture by pytest
-PROVIDED = ("seed", "progress", "page", "constraints", "said_of_collisions", "moves")
+PROVIDED = ("seed", "progress", "page", "allowed")
 UPDATES = frozenset((verb, "--out", "ARM") for verb in ("identify", "diagnose"))  # --force may overwrite the arm file
 EVERYWHERE = {  # options that mean the same wherever they are
     "force": "Overwrite existing files.",
@@ -120,8 +120,8 @@ def command(function: Callable[..., Answer], example: str) -> click.Command:
 
     Adds --json, --seed, --quiet and the example. Of `PROVIDED` are the seed, a callback for the verb's progress, what
     makes a page of a document and of files that were read, and what `identification` has of `doe`, which it does not
-    know: what makes the constraints of a model, and what tells by these which moves may collide, with what is to be
-    said of them.
+    know: the constraints of a model, with keys of JSON and lines on what collides at postures, and on moves along
+    others.
     """
     name, (text, _), groups = example.split()[1], documented(function), dict[str, Any]()
 
@@ -151,28 +151,24 @@ def command(function: Callable[..., Answer], example: str) -> click.Command:
         typed = shlex.join(("armcal", *(context.find_root().obj or ())))
         return page.page(document, page.origin(typed, context.params["seed"], read))
 
-    def constraints(model: Any) -> Any:
+    def allowed(model: Any, postures: Any = None, moves: Any = None) -> tuple[Any, dict[str, Any], list[str]]:
+        from doe.plan.moves import in_sentences, unproven
+        from doe.problem.clearance import said_of_collisions
         from doe.problem.constraints import constraints_of
 
-        return constraints_of(model)
-
-    def said_of_collisions(*known: Any) -> Any:
-        from doe.problem import clearance
-
-        return clearance.said_of_collisions(*known)
-
-    def moves(kept: Any, postures: Any) -> Any:
-        from doe.plan.moves import in_sentences, unproven
-
-        return (may_collide := unproven(kept, postures) or []), in_sentences(may_collide)
+        kept = constraints_of(model) if model.arm.cell or model.arm.constraints else ()
+        data, lines = said_of_collisions(kept, model.arm.dimension, postures)
+        if moves is not None:
+            data["moves"] = {"not_free": unproven(kept, moves) or []}
+            lines += in_sentences(data["moves"]["not_free"])
+        return kept, data, lines
 
     def run(as_json: bool, quiet: bool, seed: int, **values: Any) -> None:
         for group, type_ in groups.items():
             values[group] = type_(**{one.name: values.pop(one.name) for one in fields(type_)})
         logging.getLogger("matplotlib").setLevel(logging.ERROR)  # where it keeps its fonts is no news
         with warnings_as_lines(quiet), shown_progress(name, quiet) as progress:
-            provided = {"seed": seed, "progress": progress, "page": page}
-            provided |= {"constraints": constraints, "said_of_collisions": said_of_collisions, "moves": moves}
+            provided = {"seed": seed, "progress": progress, "page": page, "allowed": allowed}
             values |= {key: provided[key] for key in inspect.signature(function).parameters if key in provided}
             with errors_as_lines(), interruptible(", nothing was written"), stoppable():
                 check_outputs(click.get_current_context())

@@ -70,7 +70,7 @@ def program(
     Raises `InputError` for an arm that the controller does not know, rows that the arm must not be driven to, and a
     template that does not work.
     """
-    from jinja2 import PackageLoader, StrictUndefined, TemplateError
+    from jinja2 import StrictUndefined, TemplateError
     from jinja2.sandbox import ImmutableSandboxedEnvironment
 
     (file, angle, length, least, most), n = LANGUAGES[robot], arm.links
@@ -146,21 +146,18 @@ def program(
     options: dict[str, Any] = {"trim_blocks": True, "lstrip_blocks": True, "keep_trailing_newline": True}
     environment = ImmutableSandboxedEnvironment(undefined=StrictUndefined, **options)  # for a user's template
     failures = TemplateError, ArithmeticError, AttributeError, LookupError, TypeError, ValueError, RecursionError
-    if template is None:
-        environment.loader = PackageLoader("doe.program", ".")
-        text = environment.get_template(file).render(variables)
-    else:
-        try:
-            text = environment.from_string(template.read_text("utf-8-sig")).render(variables)
-        except OSError as error:
-            raise InputError(f"{template}: cannot be read ({error.strerror}), allowed: a file that can") from None
-        except UnicodeDecodeError:
-            raise InputError(f"{template}: is not UTF-8, allowed: a text file in UTF-8") from None
-        except failures as error:
-            line = getattr(error, "lineno", None)
-            where = f"{template}: " if line is None else f"{template}: line {line}: "
-            allowed = f"allowed: a jinja template of the variables {', '.join(variables)}"
-            raise InputError(f"{where}{error}, {allowed}") from None
+    written = template or Path(__file__).with_name(file)
+    try:
+        text = environment.from_string(written.read_text("utf-8-sig")).render(variables)
+    except OSError as error:
+        raise InputError(f"{written}: cannot be read ({error.strerror}), allowed: a file that can") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{written}: is not UTF-8, allowed: a text file in UTF-8") from None
+    except failures as error:
+        line = getattr(error, "lineno", None)
+        where = f"{written}: " if line is None else f"{written}: line {line}: "
+        allowed = f"allowed: a jinja template of the variables {', '.join(variables)}"
+        raise InputError(f"{where}{error}, {allowed}") from None
     return Program(text, identifier, rows, departures[-1] / 1000.0, not_free)
 
 

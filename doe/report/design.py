@@ -18,7 +18,6 @@ from doe.problem.clearance import Clearance, distance_in_words, said_of_collisio
 from doe.problem.model import offers
 from doe.problem.problem import DesignProblem
 from doe.report.page import PlanSteps
-from doe.solvers.solver import LONG_PLAN
 from identification import Array, Plan, Status
 from identification.document import Document, Pictures, Section, Sheet, count_of, in_a_sentence, number
 
@@ -111,7 +110,7 @@ def posture_headings(plan: Plan) -> list[str]:
 def remarks(design: Design) -> list[str]:
     """How many postures are measured already; why there is no log det, where there is none; and what the rule against
     repeats may cost, where a search kept it and the bound is not reached."""
-    problem, lines, runs, apart = design.problem, list[str](), len(design.plan), design.problem.spacing
+    problem, lines = design.problem, list[str]()
     alike = ", under one payload, temperature, time and approach" * bool(getattr(problem.model, "needs", ()))
     if kept := len(problem.kept):
         lines.append(f"every figure is of these runs and the {kept} measured already (--keep) in one session{alike}")
@@ -124,11 +123,9 @@ def remarks(design: Design) -> list[str]:
             why = f"under one payload, temperature, time and approach nothing depends on {', '.join(still)}"
         lines.append(f"no log det: {why}")
     moved_apart = problem.minimum_distance > 0.0 and problem.choices is None and places_of_free_joint(problem) == 1
-    better = "armcal design --repeats lets them be equal, which can be better"
-    if design.solver == "random" and runs > LONG_PLAN:  # what a search of so many runs begins from
-        lines.append(f"the plan is random: none was found that is better with {runs} postures {apart} apart; {better}")
-    elif design.solver and not design.certified_optimal and runs > 1 and moved_apart:
-        lines.append(f"postures are kept {apart} apart; {better}")
+    if design.solver and not design.certified_optimal and len(design.plan) > 1 and moved_apart:
+        better = "armcal design --repeats lets them be equal, which can be better"
+        lines.append(f"postures are kept {problem.spacing} apart; {better}")
     return lines
 
 
@@ -335,10 +332,7 @@ def relax_document(design: ApproximateDesign, compared: Sequence[Data] = (), run
     kind = design.problem.criterion.name
     weighted = zip(design.plan.shares, design.plan.displayed, strict=True)
     of_runs = "" if runs is None else f", {runs} runs"
-    least = 5e-6  # smaller weights would be printed as zero
-    rows = [[f"{weight:.5f}", *(f"{angle:.2f}" for angle in q)] for weight, q in weighted if weight >= least]
-    unseen = len(design.plan) - len(rows)
-    rest = [f"and {unseen} more of less weight than {least:g}; --json and --out have them"] if unseen else []
+    rows = [[f"{weight:.5g}", *(f"{angle:.2f}" for angle in q)] for weight, q in weighted]  # none is printed as zero
     facts: dict[str, str | None] = {
         "criterion": f"{kind} over {where}{of_runs}, {len(design.plan)} with positive weight",
         "value": number(design.value, 9),
@@ -353,7 +347,7 @@ def relax_document(design: ApproximateDesign, compared: Sequence[Data] = (), run
     answers = [[row["method"], row["space"], *(number(row[k], n) for k, n in digits.items())] for row in compared]
     title = "Cross-check: independent answers (Table I: deviation from orthogonality)"
     check = Sheet(("method", "over", "value", "upper bound", "Table I"), answers, title)
-    return Document("Weights", [], [Sheet.facts(facts), support, *rest, check])
+    return Document("Weights", [], [Sheet.facts(facts), support, check])
 
 
 # -- missing effects ---------------------------------------------------------------------------------------------------

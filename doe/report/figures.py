@@ -227,20 +227,17 @@ def simplified(triangles: Array, most: int) -> tuple[Array, NDArray[np.uint16]]:
     """
     vertices, faces = triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3)
     low, size = vertices.min(axis=0), max(float(np.ptp(vertices, axis=0).max()), 1e-6)
-    weights = np.ones(len(vertices))  # of the vertices that are one, how many
     cells = 2.0**14 if len(triangles) <= most else 2.0 * most**0.5  # along the longest side
     while True:
-        places = np.floor((vertices - low) * (cells / size)).astype(np.int64)
-        _, number = np.unique(places @ [1 << 42, 1 << 21, 1], return_inverse=True)
-        columns = weights, *(weights * vertices.T)
-        weights, *sums = (np.asarray(np.bincount(number, weights=each), dtype=float) for each in columns)
-        vertices = np.column_stack(sums) / weights[:, None]
+        places = np.floor((vertices - low) * (cells / size)).astype(np.int64) @ [1 << 42, 1 << 21, 1]
+        _, number, count = np.unique(places, return_inverse=True, return_counts=True)
+        vertices = np.column_stack([np.bincount(number, weights=each) for each in vertices.T]) / count[:, None]
         faces = number[faces]
         faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]  # not those that are a line now
         faces = faces[np.unique(faces @ [len(vertices) ** 2, len(vertices), 1], return_index=True)[1]]  # each once
         if len(faces) <= most and len(vertices) <= WHOLE:
             return vertices, faces.astype("<u2")
-        cells *= 0.9
+        cells *= 0.95 * min(most / len(faces), WHOLE / len(vertices)) ** 0.5  # there are as many as cells of a surface
 
 
 def error_arrows(name: str, test: Any) -> list[dict[str, Any]]:

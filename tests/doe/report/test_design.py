@@ -141,14 +141,12 @@ def test_long_and_weighted_plans_are_drawn_only() -> None:
     assert len(pictures.draw()) == 2
 
 
-def test_weights_that_would_print_as_zero_are_counted() -> None:
+def test_no_weight_is_printed_as_zero() -> None:
     """Column generation may leave a posture with a weight of rounding."""
     shares = np.array([0.5, 0.5 - 1e-9, 1e-9])
     weights = relax(DesignProblem.of(Model(Arm([300.0, 200.0]))), 5)
     text = str(relax_document(replace(weights, plan=Plan(np.eye(3, 2), shares))))
-    assert text.count("0.50000") == 2
-    assert "0.00000" not in text
-    assert "and 1 more of less weight than 5e-06" in text
+    assert re.findall(r"^ *(0.5|1e-09) ", text, re.MULTILINE) == ["0.5", "0.5", "1e-09"]
     loose = replace(weights, largest=weights.largest + 6e-5)
     assert "6e-05" in str(relax_document(loose))  # and not 0.000
 
