@@ -206,8 +206,7 @@ def with_choices(problem: DesignProblem, also: Array | None = None) -> DesignPro
     if listed is None:
         generator, sampled = np.random.default_rng(0), True
         count = 10**6 // len(workspace(problem))  # of which 1,000 are `connected`
-        anywhere, others = (random_postures(problem, count, generator) for _ in range(2))
-        listed = connected(problem, half_at_limits(problem, anywhere, others, generator))
+        listed = connected(problem, half_at_limits(problem, count, generator))
     return replace(problem, choices=listed if also is None else np.concatenate([listed, also]), sampled=sampled)
 
 

@@ -11,7 +11,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from doe.criteria import information_matrix
-from doe.problem.postures import half_at_limits, listed_candidates, random_postures
+from doe.problem.postures import half_at_limits, listed_candidates
 from doe.problem.problem import DesignProblem
 from identification import Array
 
@@ -108,11 +108,8 @@ def spread_free_joints(problem: DesignProblem, postures: Array, generator: Gener
 def with_additions(problem: DesignProblem, plan: Array, count: int, generator: Generator) -> Array | None:
     """(m + count, n) the plan (m, n) and, one by one, the postures that add most; None where none more is allowed."""
     longer, listed = np.array(plan), problem.choices
-    if listed is not None:
-        places = listed_candidates(problem, listed)
-    else:
-        anywhere = random_postures(problem, 2000, generator)
-        places = half_at_limits(problem, anywhere, anywhere[:1000], generator)
+    # effort: random places
+    places = half_at_limits(problem, 1500, generator) if listed is None else listed_candidates(problem, listed)
     for _ in range(count):
         if not len(best := best_beside(problem, longer, places)[:1]):
             return None

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import ArrayLike
@@ -21,27 +19,11 @@ def random_postures(problem: DesignProblem, count: int, generator: Generator) ->
     Raises `InputError` naming the constraints that exclude everything.
     """
     limits = problem.lower, problem.upper
-    return fill(problem, count, lambda size: generator.uniform(*limits, (size, problem.joints)), generator)
-
-
-def half_at_limits(problem: DesignProblem, anywhere: Array, others: Array, generator: Generator) -> Array:
-    """(k, n) postures as they are, and others of which each joint is at its nearer limit with probability one half,
-    where constraints allow that."""
-    nearer = np.where(others < 0.5 * (problem.lower + problem.upper), problem.lower, problem.upper)
-    at_limits = np.where(generator.random(others.shape) < 0.5, nearer, others)
-    return np.concatenate([anywhere, at_limits[problem.feasible(at_limits)]])
-
-
-def fill(problem: DesignProblem, count: int, draw: Callable[[int], Array], generator: Generator) -> Array:
-    """(count, n) feasible postures of those that `draw(size)` makes, or near them where they are too rare.
-
-    Raises `InputError` with the constraints that exclude everything where there are none.
-    """
     if not problem.constraints:
-        return draw(count)
+        return generator.uniform(*limits, (count, problem.joints))
     feasible, seen = np.empty((0, problem.joints)), []
     for _ in range(8):  # batches, before feasible postures are searched for
-        drawn = draw(max(4096, count))
+        drawn = generator.uniform(*limits, (max(4096, count), problem.joints))
         seen.append(drawn)
         for part in np.array_split(drawn, max(1, len(drawn) // max(256, count))):  # of geometry no more than is needed
             feasible = np.concatenate([feasible, part[problem.feasible(part)]])
@@ -71,6 +53,15 @@ def fill(problem: DesignProblem, count: int, draw: Callable[[int], Array], gener
     steps = generator.standard_normal(near.shape) * 0.2 * (problem.upper - problem.lower)
     moved = put_inside(problem, problem.clip(near + steps))
     return np.concatenate([feasible, np.where(problem.feasible(moved)[:, None], moved, near)])[:count]
+
+
+def half_at_limits(problem: DesignProblem, count: int, generator: Generator) -> Array:
+    """(k, n) so many random postures, and as many of which each joint is at its nearer limit with probability one half,
+    as far as constraints allow that."""
+    anywhere, others = (random_postures(problem, count, generator) for _ in range(2))
+    nearer = np.where(others < 0.5 * (problem.lower + problem.upper), problem.lower, problem.upper)
+    at_limits = np.where(generator.random(others.shape) < 0.5, nearer, others)
+    return np.concatenate([anywhere, at_limits[problem.feasible(at_limits)]])
 
 
 def connected(problem: DesignProblem, postures: Array) -> Array:
