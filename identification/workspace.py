@@ -213,6 +213,8 @@ class Cell(ByValue):
     apart : pairs of names that are not looked at: links that a joint connects, and what an SRDF file says
     """
 
+    FLOOR: ClassVar[str] = "floor"
+    SIGHT: ClassVar[str] = "line of sight"  # of the tracker; names beside those of bodies
     bodies: Sequence[Body] = ()
     floor: float | None = None
     clearance: float = CLEARANCE

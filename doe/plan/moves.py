@@ -37,7 +37,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from doe.plan.spacing import best_beside
-from doe.problem.clearance import ROUNDING, SIGHT, Clearance
+from doe.problem.clearance import ROUNDING, Clearance
 from doe.problem.constraints import KINDS, Constraint
 from doe.problem.model import joint_units, turns
 from doe.problem.postures import random_postures
@@ -368,7 +368,7 @@ def unproven(constraints: Sequence[Constraint], postures: Array) -> list[dict[st
     if (clearance := clearance_of(constraints)) is None:
         return None
     room = room_of(clearance.model, constraints)
-    kept = np.where([SIGHT in pair for pair in clearance.pairs], -np.inf, MOVING * clearance.asked)
+    kept = np.where([clearance.model.cell.SIGHT in pair for pair in clearance.pairs], -np.inf, MOVING * clearance.asked)
     moves, shares = list[dict[str, Any]](), np.linspace(0.0, 1.0, 300)[:, None]
     for row in np.flatnonzero(~room.free(postures[:-1], postures[1:])).tolist():
         apart = clearance.distance(postures[row] + shares * (postures[row + 1] - postures[row]))
@@ -458,7 +458,7 @@ def room_of(model: Any, constraints: Sequence[Constraint], spare: float = 0.0) -
     levers = [np.tile((each.kind not in at_ends) * longest, (each.count, 1)) for each, _ in walls]
     bodies = list[Callable[[Array], Array]]()
     if clearance is not None:
-        solid = [SIGHT not in pair for pair in clearance.pairs]
+        solid = [clearance.model.cell.SIGHT not in pair for pair in clearance.pairs]
         kept = (MOVING + spare) * clearance.asked[solid] - ROUNDING
         bodies, levers = [lambda q: clearance.distance(q)[:, solid] - kept], [*levers, clearance.levers()[solid]]
 

@@ -32,7 +32,6 @@ ROUNDING = 1e-3  # [mm] by which a plan that was written and read again may miss
 TINY = 1e-12  # [mm], [mm^2] below which a length, or its square, has no direction
 CROSSING = 1e-6  # [mm] between axes that cross: no direction leads away
 DEEP = 1e5  # [mm] half sizes of the box that the floor is the top of
-FLOOR, SIGHT = "floor", "line of sight"
 # what is said of plans of an arm in space whose bodies are not known
 COLLISIONS = (
     "Collisions were not looked at, neither of the arm with itself nor with what is around it, since the arm file has "
@@ -75,10 +74,10 @@ class Clearance:
         bodies = sorted(([b.name, b.joint, b.capsules, b.boxes] for b in cell.bodies), key=lambda body: body[1])
         if cell.floor is not None:
             ground = np.r_[0.0, 0.0, cell.floor - DEEP, np.eye(3).ravel(), np.full(3, DEEP)]
-            bodies.insert(0, [FLOOR, 0, np.empty((0, 7)), ground[None]])
+            bodies.insert(0, [cell.FLOOR, 0, np.empty((0, 7)), ground[None]])
         points = [np.zeros(3), *getattr(model, "other_points", ())]
         sights = [np.array([np.r_[place, point, 0.0] for point in points]) for place in trackers]
-        bodies += [[SIGHT, tip, each, np.empty((0, 15))] for each in sights]
+        bodies += [[cell.SIGHT, tip, each, np.empty((0, 15))] for each in sights]
         names, joints, *parts = zip(*bodies, strict=True)
         # pieces are capsules, then boxes
         owner = np.concatenate([np.repeat(range(len(names)), [*map(len, each)]) for each in parts])
@@ -88,16 +87,17 @@ class Clearance:
         joint = np.array(joints)[owner[: self._capsules]]
         self._frames = np.stack([np.r_[np.where(joint == tip, 0, joint), still], np.r_[joint, still]])  # of both ends
         pairs, pieces, always = list[tuple[str, str]](), list[tuple[int, int, int]](), list[bool]()
+        unasked = cell.apart | {frozenset((cell.FLOOR, cell.SIGHT))}
         for one in range(len(names)):
             for other in range(one):
                 pair = names[one], names[other]
-                if joints[one] == joints[other] or frozenset(pair) in cell.apart or {*pair} == {SIGHT, FLOOR}:
+                if joints[one] == joints[other] or frozenset(pair) in unasked:
                     continue
                 first, second = (np.flatnonzero(owner == body).tolist() for body in (one, other))
                 pieces += [(len(pairs), a, b) for a in first for b in second]
                 if first and second:
                     pairs.append(pair)  # what stands still is looked at wherever it is, but for what a tracker is in
-                    sight = names[one] == SIGHT and not joints[other]
+                    sight = names[one] == cell.SIGHT and not joints[other]
                     always.append(sight and not holds(parts[0][other], parts[1][other], parts[0][one][0, :3]))
         self._pieces, self.pairs = np.array(pieces, dtype=int).reshape(-1, 3), tuple(pairs)
         self._last: tuple[Any, ...] = (np.empty(0),)

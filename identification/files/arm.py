@@ -224,7 +224,7 @@ def _cell(
         if urdf.robot.find("link/collision") is not None and cell.bodies_of_urdf is not False:
             text = urdf.text
             apart |= urdf.neighbours()
-    names = {"floor", "line of sight", *(urdf.links if urdf else ()), *(name for name, _, _ in shapes)}
+    names = {Cell.FLOOR, Cell.SIGHT, *(urdf.links if urdf else ()), *(name for name, _, _ in shapes)}
     for name in (name for pair in cell.apart for name in pair if name not in names):
         raise InputError.unknown("cell.apart: unknown body", name, names)
     if not ("cell" in file.model_fields_set or text or shapes):

@@ -11,7 +11,7 @@ import pytest
 
 from doe import DesignProblem
 from doe.plan.moves import MOVING, drive, one_turn, room_of, with_approach
-from doe.problem.clearance import SIGHT, Clearance
+from doe.problem.clearance import Clearance
 from doe.problem.constraints import constraints_of
 from identification import Arm, ArmModel, Array, EffectSpec, Model, Plan
 from identification.kinematics.counting import Counting
@@ -66,7 +66,7 @@ def inside(problem: DesignProblem, way: Array) -> bool:
     clearance = next(each for each in problem.constraints if isinstance(each, Clearance))
     shares = np.linspace(0.0, 1.0, 500)[:, None]
     points = np.concatenate([a + shares * (b - a) for a, b in pairwise(way)])
-    solid = [SIGHT not in pair for pair in clearance.pairs]
+    solid = [clearance.model.cell.SIGHT not in pair for pair in clearance.pairs]
     return bool(np.all((clearance.distance(points) >= MOVING * clearance.asked - 2e-3)[:, solid]))
 
 

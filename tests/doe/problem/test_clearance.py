@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from doe import DesignProblem, solve
 from doe.plan.ascent import PlanAscent
-from doe.problem.clearance import FLOOR, SIGHT, Clearance, from_box, nearest_to_box, shortest
+from doe.problem.clearance import Clearance, from_box, nearest_to_box, shortest
 from doe.problem.constraints import Walls, constraints_of
 from doe.problem.postures import put_inside, random_postures
 from identification import Arm, Array, InputError, Model, design_model
@@ -63,7 +63,7 @@ def samples(arm: Arm, posture: Array, name: str, count: int = 120) -> list[tuple
     """Of each capsule of a body points (count, 3) along its axis, and its radius, from the chain's matrices."""
     frames = design_model(Model(arm)).joint_frames(posture[None])[0]
     shares = np.linspace(0.0, 1.0, count)[:, None]
-    if name == SIGHT:
+    if name == Cell.SIGHT:
         return [(TRACKER + shares * (frames[-1, :3, 3] - TRACKER), 0.0)]
     assert arm.cell is not None
     body = next(body for body in arm.cell.bodies if body.name == name)
@@ -74,7 +74,7 @@ def samples(arm: Arm, posture: Array, name: str, count: int = 120) -> list[tuple
 
 def sampled_distance(arm: Arm, posture: Array, pair: tuple[str, str]) -> float:
     first = samples(arm, posture, pair[0])
-    if pair[1] == FLOOR:
+    if pair[1] == Cell.FLOOR:
         return min(float(points[:, 2].min()) - radius + 50.0 for points, radius in first)
     if pair[1] != "table":
         second = samples(arm, posture, pair[1])
@@ -96,14 +96,14 @@ def test_distances_are_those_of_points_sampled_along_the_axes(arm: Arm, clearanc
         sampled = np.array([sampled_distance(arm, posture, pair) for posture in postures[:5]])
         assert np.all(apart[:, k] < sampled + 1e-3), pair
         # the line of sight is sampled every 17 to 30 mm, other axes every 5
-        np.testing.assert_allclose(apart[:, k], sampled, atol=15.0 if pair[0] == SIGHT else 2.5, err_msg=str(pair))
+        np.testing.assert_allclose(apart[:, k], sampled, atol=15.0 if pair[0] == Cell.SIGHT else 2.5, err_msg=str(pair))
 
 
 def test_which_pairs_are_looked_at(clearance: Clearance) -> None:
     assert ("link 3", "link 1") in clearance.pairs
     assert ("link 2", "link 1") not in (*clearance.pairs, *clearance.touching)  # a joint connects them
     assert ("table", "post") not in clearance.pairs  # both stand still
-    assert not any({SIGHT, FLOOR} <= {*pair} for pair in clearance.pairs)
+    assert not any({Cell.SIGHT, Cell.FLOOR} <= {*pair} for pair in clearance.pairs)
 
 
 @pytest.mark.parametrize(("place", "touching", "asked"), [(15.0, 8, []), (28.0, 0, 8 * [2.0]), (80.0, 0, 8 * [10.0])])
@@ -155,7 +155,7 @@ def test_no_distance_changes_faster_than_the_levers_say(arm: Arm, clearance: Cle
         nearby = postures[:, None] + np.atleast_2d(step) * (others - postures)[:, None]
         for there in np.moveaxis(nearby, 1, 0):
             changes = np.abs(clearance.distance(there) - clearance.distance(postures))
-            solid = [SIGHT not in pair for pair in clearance.pairs]
+            solid = [Cell.SIGHT not in pair for pair in clearance.pairs]
             assert np.all((changes <= np.abs(there - postures) @ clearance.levers().T + 1e-9)[:, solid])
 
 
@@ -206,7 +206,7 @@ def test_a_plan_climbs_and_keeps_its_distances(arm: Arm) -> None:
     sight = LineOfSight(tuple(TRACKER.tolist()), np.radians(60.0), (0.0, 0.0, 400.0))
     problem = DesignProblem.of(Model(replace(arm, constraints=(sight,))))
     judge = next(each for each in problem.constraints if isinstance(each, Clearance))
-    assert any(SIGHT in pair for pair in judge.pairs)
+    assert any(Cell.SIGHT in pair for pair in judge.pairs)
     start = random_postures(problem, 14, np.random.default_rng(5))
     climbed = PlanAscent(problem)(start, tolerance=1e-3)
     assert problem.objective(climbed) > problem.objective(start) + 1.0
@@ -229,7 +229,9 @@ def test_every_measured_point_is_to_be_seen(arm: Arm, postures: Array) -> None:
     for places in ([300.0, -200.0], [300.0], [-200.0]):
         chain = replace(arm.chain, tools={f"{y}": pose((0, y, 9)) for y in places}, settled=frozenset({"tool"}))
         cone, bodies = constraints_of(Model(replace(arm, chain=chain, constraints=(sight,))))
-        found.append([cone.margin(postures), bodies.distance(postures)[:, [SIGHT in each for each in bodies.pairs]]])  # type: ignore[union-attr]
+        found.append(
+            [cone.margin(postures), bodies.distance(postures)[:, [Cell.SIGHT in each for each in bodies.pairs]]]
+        )  # type: ignore[union-attr]
     (both, nearest), (one, here), (other, there) = found
     np.testing.assert_allclose(both, np.hstack([one, other]))
     np.testing.assert_allclose(nearest, np.minimum(here, there))
