@@ -112,11 +112,11 @@ class ArmModel(Model):
                 raise InputError.unknown(f"{column}: unknown name", name, points)
         return postures[[place for place, _ in runs]], np.reshape([*runs.values()], (len(runs), -1))
 
-    def with_tip_moved(self, offset: Array) -> ArmModel:
-        """The same with its measured points moved by (3,) [mm] in their frame: to see where a reflector looks."""
-        chain = self.arm.chain
-        tools = {name: pose(offset) @ at for name, at in chain.tools.items()}
-        return replace(self, arm=replace(self.arm, chain=replace(chain, tools=tools)))
+    def symbolic_measured(self, q: ca.SX) -> tuple[list[ca.SX], ca.SX]:
+        """All measured points (space,) [mm] at a posture (n,), in the frame of the base, and the tip's axes (3, 3)."""
+        chain, (*_, tip, _) = self.arm.chain, self.arm.chain.in_base(q, self.geometry)
+        frames = (chain.measured(tip, self.geometry, ca.SX(k)) for k in range(self.points_read))
+        return [frame.point(ca.SX(3, 1))[: self.space] for frame in frames], tip.axes
 
     @property
     def other_points(self) -> Array:

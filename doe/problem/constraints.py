@@ -154,34 +154,27 @@ def outside_round(model: Offers, region: Any, q: ca.SX) -> ca.SX:
 
 
 def in_view(model: Offers, sight: Any, q: ca.SX) -> ca.SX:
-    """(k,) The tracker sees the reflectors, all of them."""
-    seen = [model, *(model.with_tip_moved(point) for point in getattr(model, "other_points", ()))]
-    return ca.vertcat(*(_in_view(each, sight, q) for each in seen))
-
-
-def _in_view(model: Offers, sight: Any, q: ca.SX) -> ca.SX:
-    """(k,) The tracker sees the reflector: inside its cone and range, not from behind, no link near the line of sight;
-    links have a radius here, and the last, which carries the reflector, is not in the way. Of joints that carry bodies
-    these are looked at instead (`Clearance`)."""
+    """(k,) The tracker sees the reflectors, all of them: inside its cone and range, not from behind, no link near the
+    line of sight; links have a radius here, and the last, which carries the reflectors, is not in the way. Of joints
+    that carry bodies these are looked at instead (`Clearance`)."""
     if len(sight.tracker) != model.space:
         raise InputError(f"line_of_sight: a tracker in {len(sight.tracker)} dimensions, allowed: in {model.space}")
-    points, tracker = model.symbolic_points(q), ca.DM(sight.tracker)
-    tip, axis = points[-1], np.subtract(sight.toward, sight.tracker)
-    view, distance = tip - tracker, ca.norm_2(tip - tracker)
-    # |view| (cos of the angle to the cone's axis - cos of half the cone's)
-    expressions = [ca.dot(view, ca.DM(axis / np.linalg.norm(axis))) - np.cos(sight.half_angle) * distance]
-    if sight.reach is not None:
-        expressions += [distance - sight.reach[0], sight.reach[1] - distance]
-    if sight.facing is not None:
-        pointer = 100.0  # [mm] from the reflector to the point that tells where it looks
-        offset = pointer * np.array(sight.facing) / np.linalg.norm(sight.facing)
-        moved = offered(model, "with_tip_moved", "line_of_sight")(offset)
-        looks = (moved.symbolic_points(q)[-1] - tip) / pointer
-        expressions.append(ca.dot(looks, tracker - tip) - np.cos(sight.acceptance) * distance)
+    joints, tracker = model.symbolic_points(q)[:-1], ca.DM(sight.tracker)
+    reflectors, axes = offered(model, "symbolic_measured", "line_of_sight")(q)
+    axis, expressions = np.subtract(sight.toward, sight.tracker), list[ca.SX]()
     carry = {body.joint for body in model.cell.bodies} if offers(model, "cell") else set[int]()
-    first = len(model.joint_types) + 2 - len(points)  # joint that the first link moves with, 0 of an arm's foot
-    links = [link for j, link in enumerate(pairwise(points[:-1]), first) if max(j, 1) not in carry]
-    expressions += [_distance(tracker, tip, *link) - LINK_RADIUS * model.reach for link in links]
+    first = len(model.joint_types) + 1 - len(joints)  # joint that the first link moves with, 0 of an arm's foot
+    links = [link for j, link in enumerate(pairwise(joints), first) if max(j, 1) not in carry]
+    for reflector in reflectors:
+        view, distance = reflector - tracker, ca.norm_2(reflector - tracker)
+        # |view| (cos of the angle to the cone's axis - cos of half the cone's)
+        expressions.append(ca.dot(view, ca.DM(axis / np.linalg.norm(axis))) - np.cos(sight.half_angle) * distance)
+        if sight.reach is not None:
+            expressions += [distance - sight.reach[0], sight.reach[1] - distance]
+        if sight.facing is not None:
+            looks = ca.mtimes(axes, ca.DM(np.array(sight.facing) / np.linalg.norm(sight.facing)))
+            expressions.append(ca.dot(looks, -view) - np.cos(sight.acceptance) * distance)
+        expressions += [_distance(tracker, reflector, *link) - LINK_RADIUS * model.reach for link in links]
     return ca.vertcat(*expressions)
 
 

@@ -53,7 +53,7 @@ class Offers(Protocol):
         symbolic_points : q (n,) -> k points (space,), base, joints and tip [mm]
         cell : `identification.workspace.Cell`, None: no body is known;  joint_axes : (n, 3) each in its frame
         joint_frames : (m, n) -> (m, n + 1, 4, 4) of the joints and of the measured point [mm], in that of the base
-        with_tip_moved : (3,) [mm] in the tip's own frame -> the model with its tip there: where a reflector looks
+        symbolic_measured : q (n,) -> points (space,) that are measured [mm], and the axes (3, 3) of the tip
         other_points : (k, 3) [mm] from the tip to other points that are measured at each posture, in the same frame
     What is settled before a plan is made
         placed : -> the model as plans are made for it: what it leaves open is assumed, with a warning

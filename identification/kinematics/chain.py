@@ -336,11 +336,11 @@ class KinematicChain(ByValue):
     def symbolic_points(self, q: ca.SX, values: Values) -> list[ca.SX]:
         """n + 2 points (d,) [mm] of base, joints and the first measured point, in the frame of the base; n + 1 of a
         planar arm, whose joint 1 is the base."""
-        *frames, _, measured = self._in_base(q, values)
+        *frames, _, measured = self.in_base(q, values)
         points = [*(frame.origin for frame in frames), measured.point(ca.SX(3, 1))]
         return [point[: self.dimension] for point in points[self.first_point :]]
 
-    def _in_base(self, q: ca.SX, values: Values) -> list[Frame]:
+    def in_base(self, q: ca.SX, values: Values) -> list[Frame]:
         """`frames` and that of the first measured point in the frame of the base, as if nothing were wrong with it."""
         at_home = replace(self, base=np.eye(4))
         frames = at_home.frames(q, {name: value for name, value in values.items() if not name.startswith("base.")})
@@ -364,7 +364,7 @@ class KinematicChain(ByValue):
 @lru_cache(maxsize=32)  # compiled once, used in every search
 def _frames_at(chain: KinematicChain, values: tuple[tuple[str, float], ...]) -> Callable[[Array], Array]:
     q = ca.SX.sym("q", len(chain))
-    placed = [ca.horzcat(frame.axes, frame.origin) for frame in chain._in_base(q, dict(values))]
+    placed = [ca.horzcat(frame.axes, frame.origin) for frame in chain.in_base(q, dict(values))]
     evaluate = vectorize(ca.Function("frames", [q], [ca.cse(ca.densify(ca.vertcat(*placed)))]))
 
     def at(postures: Array) -> Array:
