@@ -96,10 +96,6 @@ def load_sessions(paths: Sequence[Path], arm: Arm) -> Measurements:
     if any(one.payload is not None for one in read):  # of the others it is that of the arm
         usual = (one.payload if one.payload is not None else np.full(len(one), arm.payload) for one in read)
         read = [replace(one, payload=payload) for one, payload in zip(read, usual, strict=True)]
-    if arm.chain.instrument.own_targets:  # in each file elsewhere, as in each session of one
-        places = (np.full(len(one), "") if one.marker is None else np.char.add("/", one.marker) for one in read)
-        markers = [np.char.add(name, place) for name, place in zip(names, places, strict=True)]
-        read = [replace(one, marker=m, marker_names=()) for one, m in zip(read, markers, strict=True)]
     return pooled_sessions(dict(zip(names, read, strict=True)))
 
 

@@ -380,7 +380,7 @@ def position_and_state(
     tip, turned = drawn.tip(chain.q + additions["joint_angles"], named, additions, chain.marker, chain.orientation)
     add(["instrument"], chain, tip=tip)
     settings = ca.vertcat(ca.SX(0, 1), *(named[p.name] for p in drawn.instrument.parameters))
-    target = ca.SX(0) if chain.marker is None else chain.marker
+    target = ca.vertcat(chain.session, 0.0 if chain.marker is None else chain.marker)
     reading = drawn.instrument.reading(tip + additions["instrument"], settings, target)
     return ca.vertcat(reading, turned), ca.vertcat(*loads.values(), lengths, tip)
 

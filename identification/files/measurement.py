@@ -60,13 +60,11 @@ def load_measurements(path: PathLike, links: int | Arm | None = None) -> Measure
     chain = links.chain if isinstance(links, Arm) else planar_chain([1.0])  # has the columns of every planar arm
     instrument, poses = chain.instrument, chain.angle_scale is not None
     postures = read_postures(table, kinds)
-    # each target that is touched has a place of its own, as each session has
-    names = {name: table.texts(name) for name in ("session", instrument.target) if name and name in table}
-    session = np.array(["/".join(parts) for parts in zip(*names.values(), strict=True)]) if names else None
-    marked = "" if instrument.own_targets else chain.point_column
+    # each surface that is touched has a base of its own, as each session has; other targets stand where marked
+    marked, touched = (instrument.target, "") if instrument.own_targets else (chain.point_column, instrument.target)
+    names = [table.texts(name) for name in ("session", touched) if name and name in table]
+    session = np.array(["/".join(parts) for parts in zip(*names, strict=True)]) if names else None
     marker = table.texts(marked) if marked and marked in table else None
-    if instrument.own_targets:
-        session, marker = names.get("session"), session
     coordinates = instrument.coordinates[: len(chain.axes)]
     read = [read_column(table, name, kind, LENGTH_RANGE if positive else None) for name, kind, positive in coordinates]
     conditions = _conditions(table, kinds, NUMBERS)
@@ -121,13 +119,11 @@ def measurement_text(
     if (far := np.abs(measurements.positions).max(initial=0.0)) > LARGEST:
         raise InputError(f"measurements: found a position of {far:g} mm, allowed: up to {LARGEST:g}")
     names = ["distance_mm"] if measurements.dimension == 1 else ["x_mm", "y_mm", "z_mm"]
-    session, marker, target = "session", "marker", measurements.marker
+    session, marker = "session", "marker"
     if instrument is not None and not instrument.reads_positions:
         names = [column_of(name, quantity) for name, quantity, _ in instrument.coordinates]
         if instrument.own_targets:
-            marker = instrument.target or session
-            if instrument.target and target is not None:
-                target = np.array([name.rpartition("/")[2] for name in target.tolist()])
+            marker = instrument.target or marker
         else:
             session = instrument.target or session
     kinds = JointKinds(types or (REVOLUTE,) * measurements.links)
@@ -142,9 +138,8 @@ def measurement_text(
     if (directions := measurements.directions) is not None:
         signs = kinds.counting.signs_of_columns(directions)
         optional |= {f"direction{j}": column for j, column in enumerate(signs.T, start=1)}
-    optional |= {"posture": measurements.repeats, marker: target, "sigma_mm": measurements.sigma}
-    if marker != session or target is None:
-        optional[session] = measurements.session
+    optional |= {"posture": measurements.repeats, marker: measurements.marker, "sigma_mm": measurements.sigma}
+    optional[session] = measurements.session
     columns |= {name: values for name, values in optional.items() if values is not None}
     return csv_text(columns, measurements.fit)
 

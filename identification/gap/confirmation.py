@@ -165,7 +165,7 @@ class HeldOut:
         """Of rows beside the data: order numbers that occur in both, or a pause between them that is longer than the
         data, mean two sessions; one point of the data is the one of the rows, whatever it is called there, as in an arm
         file."""
-        changes, transfer = dict[str, Array | None](marker=None), OTHER_ROWS
+        changes, transfer = dict[str, Array | None](marker=np.zeros(len(rows))), OTHER_ROWS
         if data.temperature is not None and rows.temperature is not None:
             changes["temperature"] = rows.temperature - data.reference_temperature
         if data.order is not None and rows.order is not None:

@@ -112,7 +112,7 @@ def inspect(arm: Arm, measurements: Measurements) -> Inspection:
     enough, words, few = ({}, [], False) if fit is None else sufficiency(fit, measurements, floor)
     # what a row touches is a session or a measured point of its own here; its column has a name of its own
     instrument, touched = arm.chain.instrument, "marker" if arm.chain.instrument.own_targets else "session"
-    column = instrument.target or ("session" if instrument.own_targets else touched)
+    column = instrument.target or touched
     given = tuple(sorted({column if name == touched else name for name in measurements.optional_columns - {"gaps"}}))
     fitted = None if fit is None else rms_distance(fit.residuals_after)
     data = {

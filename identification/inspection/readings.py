@@ -199,8 +199,7 @@ def read_differently(arm: Arm, measurements: Measurements, *, search: bool = Tru
     require(measurements.links == arm.links, f"measurements: {joints}")
     # as drawn, where it stands left open, and in space what is measured on it
     chain = replace(type(arm.chain)(arm.chain.joints, arm.chain.end), settled=arm.chain.drawn & {TOOL})
-    nothing = np.empty((0, chain.dimension)), np.empty((0, 1)), np.empty(0, dtype=np.int64), ()  # is known of targets
-    arm = replace(arm, chain=replace(chain, instrument=arm.chain.instrument.with_targets(*nothing)))
+    arm = replace(arm, chain=replace(chain, instrument=arm.chain.instrument.without_targets()))
     chain, kinds, (q, x, few) = arm.chain, arm.joint_types, _rows(arm, measurements)
     slides = np.array([kind == PRISMATIC for kind in kinds])
     turning, mirrors = np.flatnonzero(~slides).tolist(), chain.instrument.reads_positions

@@ -109,8 +109,8 @@ class Instrument:
     coordinates: ClassVar[tuple[Coordinate, ...]] = ()  # of a reading; none: a target is touched (`contact`)
     target: ClassVar[str] = ""  # column of files that names what is touched, each with a place of its own
     # word of the `parameters` of what is touched or measured from, `cup` of `cup[A].x`, where these stand in the frame
-    # of the base and rows name them as they name measured points (`Measurements.marker`); empty: they count as
-    # sessions, each of which has a base
+    # of the base, other ones in each session, and rows name them as they name measured points (`Measurements.marker`);
+    # empty: they count as sessions, each of which has a base
     own_targets: ClassVar[str] = ""
     offers: ClassVar[frozenset[str]] = frozenset()  # what effects may need of it (`Effect.needs`)
     reads_positions: ClassVar[bool] = False  # a reading is the measured point's position, or with its orientation pose
@@ -119,14 +119,14 @@ class Instrument:
 
     # -- what a row reads ------------------------------------------------------------------------------------------
     def reading(self, point: ca.SX, values: ca.SX, target: ca.SX) -> ca.SX:
-        """(d,) what it reads of a point (3,) [mm] in its frame;  values : of its own `parameters`;  target : number of
-        what the row touches, from 0, of those with `own_targets`"""
+        """(d,) what it reads of a point (3,) [mm] in its frame;  values : of its own `parameters`;  target : (2,) the
+        numbers, from 0, of the row's session and of what it touches, of those with `own_targets`"""
         raise NotImplementedError
 
     def readings(self, points: Array, values: Array) -> Array:
         """(..., d) what it reads of points (..., 3) in its frame with values (k,) of its own parameters."""
         point, parameters = ca.SX.sym("point", len(self.axes)), ca.SX.sym("parameters", len(self.parameters))
-        reading = ca.densify(ca.SX(self.reading(point, parameters, ca.SX(0))))
+        reading = ca.densify(ca.SX(self.reading(point, parameters, ca.SX.zeros(2))))
         return vectorize(ca.Function("reading", [point, parameters], [reading]))(points, values)[0][..., 0]
 
     @property
@@ -220,14 +220,8 @@ class Instrument:
         base = pose(start[3:12:4] + change[:3], from_angles(change[3:6]) @ start[:12].reshape(3, 4)[:, :3])
         return Placement(base, start[12:] + change[6:], float(np.min(left)))
 
-    def with_targets(
-        self, points: Array, readings: Array, numbers: NDArray[np.int64], names: Sequence[str]
-    ) -> Instrument:
-        """With `own_targets` where rows find them, none where there are none
-
-        points, readings : (m, 3 or 2) measured points in its frame, as best known, and (m, d) what was read;  numbers :
-            (m,) of the targets, by their `names`
-        """
+    def without_targets(self) -> Self:
+        """With places of none of its `own_targets`."""
         return self
 
     @property
@@ -255,7 +249,7 @@ def _reading(instrument: Instrument) -> Evaluate:
     turned = Frame.world().shifted(base[:, 3] + change[:3]).turned_about(range(3), change[3:6])
     point = turned.point(arm)[: len(instrument.axes)]
     values = ca.DM([parameter.neutral for parameter in instrument.parameters])
-    reading = ca.densify(ca.SX(instrument.reading(point, ca.SX(values), ca.SX(0))))
+    reading = ca.densify(ca.SX(instrument.reading(point, ca.SX(values), ca.SX.zeros(2))))
     outputs = [reading, ca.densify(ca.jacobian(reading, change))]
     return vectorize(ca.Function("reading", [start, tip, change], ca.cse(outputs)))
 
@@ -265,11 +259,11 @@ class AtTargets(Instrument):
     """An instrument whose targets stand in the frame of the base, where they are parameters, `cup[A].x`.
 
     at : names and places (d,) [mm] in the frame of the base, about, where fits start; empty: not known yet
-    numbers : of the targets, by which rows name them, from 0; empty: in order
+    numbers : of session and target in the rows that touch each, from 0; empty: of one session, in order
     """
 
     at: tuple[tuple[str, tuple[float, ...]], ...] = ()
-    numbers: tuple[int, ...] = field(default=(), kw_only=True)
+    numbers: tuple[tuple[int, int], ...] = field(default=(), kw_only=True)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -284,17 +278,28 @@ class AtTargets(Instrument):
         return {name: np.array(place) for name, place in self.at}
 
     def of_row(self, each: Sequence[ca.SX], target: ca.SX, otherwise: ca.SX) -> ca.SX:
-        """What belongs to the target of this number, of one for each target."""
-        for number, one in zip(self.numbers or range(len(self.at)), each, strict=True):
-            otherwise = ca.if_else(target == number, one, otherwise)
+        """What belongs to the target of these numbers, of one for each target."""
+        for (session, number), one in zip(self.numbers or [(0, k) for k in range(len(each))], each, strict=True):
+            otherwise = ca.if_else(ca.logic_and(target[0] == session, target[1] == number), one, otherwise)
         return otherwise
 
-    def with_targets(self, points: Array, readings: Array, numbers: NDArray[np.int64], names: Sequence[str]) -> Self:
-        at, measured = [], np.unique(numbers).tolist()
-        for number in measured:
-            rows = numbers == number
-            at.append((names[number], tuple(self.target_of(points[rows], readings[rows]).tolist())))
-        return replace(self, at=tuple(at), numbers=tuple(measured))
+    def without_targets(self) -> Self:
+        return replace(self, at=(), numbers=())
+
+    def with_targets(
+        self, points: Array, readings: Array, numbers: NDArray[np.int64], names: Sequence[Sequence[str]]
+    ) -> Self:
+        """With `own_targets` where rows find them
+
+        points, readings : (m, d) measured points in its frame, as best known, and (m, d) what was read
+        numbers : (m, 2) of session and target of each row, by their `names`
+        """
+        at, touched = [], np.unique(numbers, axis=0).tolist()
+        for pair in touched:
+            rows = np.all(numbers == pair, axis=1)
+            name = "/".join(labels[k] for labels, k in zip(names, pair, strict=True) if labels) or "1"
+            at.append((name, tuple(self.target_of(points[rows], readings[rows]).tolist())))
+        return replace(self, at=tuple(at), numbers=tuple(map(tuple, touched)))
 
     def target_of(self, points: Array, readings: Array) -> Array:
         """(d,) of one target where these rows find it;  points, readings : as of `with_targets`"""

@@ -23,7 +23,7 @@ from identification.arrays import Array
 from identification.effects import library
 from identification.errors import InputError
 from identification.instruments import KINDS, TRACKER, Tracker, Unplaced
-from identification.instruments.base import registered
+from identification.instruments.base import AtTargets, registered
 from identification.kinematics.chain import (
     BASE,
     DIMENSION,
@@ -69,10 +69,11 @@ def placed_model(model: Model, measurements: Measurements) -> Model:
         chain = replace(chain, base=standing.base)
     if TOOL not in settled:
         chain = replace(chain, tools=standing.tools)
-    if own_targets:
+    if isinstance(chain.instrument, AtTargets):
         frames = standing.tip_frames(measurements.postures, geometry) @ next(iter(standing.tools.values()))
-        readings, names = measurements.positions[:, : chain.instrument.dimension], measurements.marker_names or ("1",)
-        targets = frames[:, : chain.dimension, 3], readings, measurements.numbers("marker"), names
+        numbers = np.stack([measurements.numbers(name) for name in ("session", "marker")], axis=1)
+        names, readings = (measurements.session_names, measurements.marker_names), measurements.positions
+        targets = frames[:, : chain.dimension, 3], readings[:, : chain.instrument.dimension], numbers, names
         chain = replace(chain, instrument=chain.instrument.with_targets(*targets))
     return replace(model, arm=replace(arm, chain=chain, calibration=calibration))
 

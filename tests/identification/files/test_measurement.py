@@ -271,7 +271,6 @@ def test_distances(load: Load, arm: Arm) -> None:
     data = load("q1_deg,q2_deg,distance_mm,session\n30,50,412.5,a\n-90,7,300,b\n", arm)
     np.testing.assert_array_equal(data.positions, [[412.5], [300.0]])
     assert data.sessions == ("a", "b")
-    assert data.marker_names == (() if arm is BAR else ("a", "b"))  # in the plane each with a center of its own
     assert (
         replace(load(measurement_text(data, instrument=arm.chain.instrument), arm), provenance=data.provenance) == data
     )

@@ -174,7 +174,7 @@ def data(count: int, noise: float, seed: int, turn: float = 0.0) -> Measurements
     read = np.abs(tips - CENTERS[number]) + noise * generator.standard_normal(count)
     q[:, 0] += turn
     label = np.array(["left", "right"])[number]
-    return Measurements(q, read[:, None], marker=label)
+    return Measurements(q, read[:, None], session=label)
 
 
 def fitted(rows: Measurements) -> Identification:
