@@ -392,6 +392,8 @@ def contribution(
     size = widths(effect.chain)[place]
     lengthened = (lengths,) if place == "extensions" else ()
     value = ca.SX(getattr(effect, place)(tip if place == "instrument" else chain, values, *lengthened))
+    if effect.unlisted and effect.joint and chain.off is not None:
+        value *= 1.0 - chain.off  # nothing says that what was fitted beside error curves holds beyond them
     values, one = ca.SX.zeros(size), value.numel()
     if effect.joint is None or place not in BY_JOINT or one * len(effect.chain) != size:
         return values + value

@@ -48,18 +48,13 @@ def slow_waves(place: ca.SX, with_last: bool = False) -> ca.SX:
     return ca.vertcat(*(prod(w[k] for w, k in zip(along, each, strict=True)) / np.dot(each, each) for each in orders))
 
 
-def held(chain: ArmState) -> ca.SX | float:
-    """1 where error curves of the arm hold, 0 beyond: nothing says that what was fitted beside them holds there."""
-    return 1.0 if chain.off is None else 1.0 - chain.off
-
-
 # -- of a joint --------------------------------------------------------------------------------------------------------
 def _by_approach(self: Effect, chain: ArmState, values: ca.SX) -> ca.SX:
     """Of the angle and the last move, with another sign by its direction."""
     j = self.joint_index
     move = ca.fabs(chain.q[j] - chain.previous[j])
     waves = ca.vertcat(1.0, turning_waves(chain.q[j], [1]), ca.exp(-move))
-    return held(chain) * chain.directions[j] * ca.dot(waves, values)
+    return chain.directions[j] * ca.dot(waves, values)
 
 
 def _load_unit(self: Effect, chain: ArmState) -> float:
@@ -72,14 +67,14 @@ def _load_unit(self: Effect, chain: ArmState) -> float:
 def _by_load(self: Effect, chain: ArmState, values: ca.SX) -> ca.SX:
     """Of the torque, as a spring, play and friction have it."""
     t = chain.torques[self.joint_index] / _load_unit(self, chain)
-    return held(chain) * ca.dot(ca.vertcat(t, ca.fabs(t), t * ca.fabs(t), ca.sign(t)), values)
+    return ca.dot(ca.vertcat(t, ca.fabs(t), t * ca.fabs(t), ca.sign(t)), values)
 
 
 def _across_the_axis(self: Effect, chain: ArmState, values: ca.SX) -> ca.SX:
     """(3,) across the axis, by waves of its angle."""
     across = ca.DM(rotation_to_z(self.chain.joints[self.joint_index].axis)[:, :2])
     waves = turning_waves(chain.q[self.joint_index], range(1, SLOW + 1))
-    return held(chain) * ca.mtimes([across, ca.reshape(values, 2, 2 * SLOW), waves])
+    return ca.mtimes([across, ca.reshape(values, 2, 2 * SLOW), waves])
 
 
 of_joint(
@@ -88,9 +83,8 @@ of_joint(
     numbers(6, "rad", LEVER),
     settings={"other": Setting(1, 99, Scope.other_joints, whole=True, symbolic=False)},
     # of the other joint's angle, and of both angles: not periodic, as a cable that is wound up
-    joint_angles=lambda self, chain, values: (
-        held(chain)
-        * ca.dot(slow_waves(chain.q[[self.joint_index, int(self.chosen["other"]) - 1]] / np.pi, with_last=True), values)
+    joint_angles=lambda self, chain, values: ca.dot(
+        slow_waves(chain.q[[self.joint_index, int(self.chosen["other"]) - 1]] / np.pi, with_last=True), values
     ),
 )
 of_joint(
