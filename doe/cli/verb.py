@@ -149,7 +149,7 @@ def command(function: Callable[..., Answer], example: str) -> click.Command:
 
         context = click.get_current_context()
         typed = shlex.join(("armcal", *(context.find_root().obj or ())))
-        return page.page(document, page.origin(typed, context.params["seed"], read))
+        return page.page(document.plus(page.origin(typed, context.params["seed"], read)))
 
     def allowed(model: Any, postures: Any = None, moves: Any = None) -> tuple[Any, dict[str, Any], list[str]]:
         from doe.plan.moves import in_sentences, unproven

@@ -56,14 +56,12 @@ def hashes(paths: Iterable[Path]) -> list[tuple[str, int, str]]:
     return [(str(path), len(content), hashlib.sha256(content).hexdigest()) for path, content in contents]
 
 
-def page(document: Document, *last: Section) -> str:
-    """The page as text, with these sections at its end; it needs no other file and no network."""
+def page(document: Document) -> str:
+    """The page of a document of sections as text; it needs no other file and no network."""
     from jinja2 import Environment, PackageLoader
 
     environment = Environment(loader=PackageLoader("doe.report", "."), autoescape=True, trim_blocks=True)
-    loose = [part for part in document.parts if not isinstance(part, Section)]
-    sections = [Section("In short", loose)] * bool(loose)
-    sections += [*(part for part in document.parts if isinstance(part, Section)), *last]
+    sections: list[Any] = [*document.parts]
     steps = {k: part for k, s in enumerate(sections, 1) for part in s.parts if isinstance(part, PlanSteps)}
     names = ["three.min.js", "scene.js"] if any("scene" in part.data for part in steps.values()) else []
     read = files("doe.report").joinpath

@@ -61,11 +61,7 @@ def test_a_plan_in_a_sentence() -> None:
     listed = Bound(-9.0, "grid", True, candidates=2000)
     error = {"bound": listed, "efficiency": 0.329, "expected_error": {"plan": 0.158, "bound": 0.0808}}
     said = verdict("I", **error)
-    for part in (
-        "an error of 0.158 mm at the tip",
-        "list of 2,000 postures is below 0.0808 mm",
-        "0.3290. Do not expect",
-    ):
+    for part in ("an error of 0.158 mm at the tip", "of 2,000 postures is below 0.0808 mm", "0.3290. Do not expect"):
         assert part in said
     assert "bound" not in verdict("I", **(error | {"efficiency": None}))  # none applies
     optimal = "optimal up to a numerical bound"
