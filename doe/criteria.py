@@ -149,11 +149,7 @@ class D(Criterion):
             parts = jacobians if len(rows) == jacobians.shape[-1] else jacobians[..., rows]
             s, c, d, p = parts.shape
             whitened = (parts.reshape(s, c * d, p) @ np.swapaxes(root, -1, -2)).reshape(s, c, d, p)
-            small = np.eye(d) + whitened @ np.swapaxes(whitened, -1, -2)
-            if d == 2:  # the planar case, without a factorisation
-                total += sign * np.log(small[..., 0, 0] * small[..., 1, 1] - small[..., 0, 1] * small[..., 1, 0])
-            else:
-                total += sign * np.linalg.slogdet(small)[1]
+            total += sign * np.linalg.slogdet(np.eye(d) + whitened @ np.swapaxes(whitened, -1, -2))[1]
         return total
 
 
