@@ -218,8 +218,8 @@ def check_files(
 
     loaded = load_arm(arm, package_dir)
     if is_plan(read_table(data), loaded):
-        plan, driven = (Plan.load(data, loaded.joint_types, vias=vias) for vias in (False, True))
-        q, moves = plan.postures, driven.postures if plan.weights is None else None
+        plan = Plan.load(data, loaded.joint_types, vias=True)
+        q, moves = plan.measured, plan.postures if plan.weights is None else None
         kept, near, lines = allowed(Model(loaded), q, moves)
         beyond = [np.minimum(q - loaded.lower, loaded.upper - q) + 1e-6]
         beyond += [each.margin(q) + 1e-3 for each in kept if each.kind != "clearance"]

@@ -503,7 +503,7 @@ def program_files(
     document = Document(parts=[sentence, Sheet(headings, rows, most=60), *doubts])
     warned = [line.strip() for line in doubts]
     answer = Answer(data, document, warnings=warned, files={out: ("program", text)})
-    return with_collisions(answer, DesignProblem.of(loaded), file.measured.postures)
+    return with_collisions(answer, DesignProblem.of(loaded), file.measured)
 
 
 # -- after measurements ------------------------------------------------------------------------------------------------

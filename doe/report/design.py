@@ -195,7 +195,7 @@ def plan_section(
     """
     from doe.report.figures import plan_figure  # deferred: tables need no pictures
 
-    problem, postures = DesignProblem.of(arm), plan.measured.postures
+    problem, postures = DesignProblem.of(arm), plan.measured
     near = said_of_collisions(problem.constraints, arm.dimension, postures)[1]
     if plan.weights is None and (moves := unproven(problem.constraints, plan.postures)):
         near.append(f"Moves: {len(moves)} of {len(plan) - 1} may collide on the way; armcal score names them.")
@@ -231,7 +231,7 @@ def plan_steps(
         return None
     near: list[list[dict[str, Any]]] = [[] for _ in range(len(runs))]
     for clearance in (each for each in problem.constraints if isinstance(each, Clearance)):
-        for each in clearance.too_near(runs.postures):
+        for each in clearance.too_near(runs):
             near[each["run"] - 1].append({"bodies": each["bodies"], "text": distance_in_words(each)})
     if not cells:  # those of the file that it would have
         head, *lines = csv.reader(plan.text().splitlines()[bool(plan.fit) :])
@@ -244,10 +244,10 @@ def plan_steps(
         "runs": [row for row in range(len(plan)) if plan.via is None or not plan.via[row]],
         "joints": posture_headings(plan),
         "postures": rounded(plan.displayed, 6),
-        "jacobians": rounded(problem.scaled_jacobians(runs.postures).reshape(len(runs), -1), 12),
+        "jacobians": rounded(problem.scaled_jacobians(runs).reshape(len(runs), -1), 12),
         "parameters": problem.parameters,
         "precisions": rounded(problem.precisions, 12),
-        "points": rounded(model.points(runs.postures), 5),
+        "points": rounded(model.points(runs), 5),
         "near": near,
         "outlines": [{"line": rounded(line, 5), "forbidden": forbidden} for line, forbidden in outlines(model.arm)],
     }

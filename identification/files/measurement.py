@@ -298,14 +298,9 @@ class Plan(ByValue):
         return int(self.postures.shape[1])
 
     @property
-    def measured(self) -> Plan:
-        """The same without way-points."""
-        if self.via is None:
-            return self
-        rows = np.flatnonzero(~self.via).tolist()
-        cells = {name: [texts[row] for row in rows] for name, texts in self.cells.items()}
-        weights = None if self.weights is None else self.weights[rows]
-        return replace(self, postures=self.postures[rows], weights=weights, via=None, cells=cells)
+    def measured(self) -> Array:
+        """(r, n) postures without way-points."""
+        return self.postures if self.via is None else self.postures[~self.via]
 
     @property
     def shares(self) -> Array:

@@ -20,6 +20,7 @@ from identification.campaign import campaign_document
 from identification.document import Document
 from identification.files.measurement import measurement_text
 from identification.instruments import PlanarDistance
+from identification.model.placed import with_sessions
 from identification.running import additions, single_thread
 from identification.workflow import VERBS, Written, check_files, compensate_files, identify_files, validate_files
 from tests.refusals import refused
@@ -90,7 +91,8 @@ def test_each_file_is_a_session_and_none_is_given_twice(folder: Path) -> None:
     lengths = [folder / f"{day}.csv" for day in ("monday", "tuesday")]
     for path in lengths:
         path.write_text("q1_deg,q2_deg,distance_mm\n10,20,300\n20,50,310\n")
-    assert load_sessions(lengths, bar).marker_names == ("monday", "tuesday")  # a center for each
+    centers = with_sessions(bar, load_sessions(lengths, bar)).chain.instrument.targets
+    assert [*centers] == ["monday", "tuesday"]
     with pytest.raises(InputError, match="given 2 times"):
         load_sessions([names[0], names[0]], arm)
 

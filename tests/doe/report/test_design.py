@@ -93,7 +93,7 @@ def test_rows_without_payload_are_completed_before_others_are_appended() -> None
 def test_the_log_det_of_a_plan_follows_from_what_the_page_has(arm: Arm, joints: int, runs: int) -> None:
     via = np.arange(runs + 1) == 3
     whole = Plan(np.random.default_rng(1).uniform(-2.0, 2.0, (runs + 1, joints)), via=via)
-    plan, steps = whole.measured, plan_steps(problem(arm), whole)
+    plan, steps = Plan(whole.measured), plan_steps(problem(arm), whole)
     assert steps is not None
     p = steps["parameters"]
     rows = np.array(steps["jacobians"]).reshape(-1, p)
