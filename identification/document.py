@@ -110,14 +110,15 @@ class Sheet:
 class Pictures:
     """Figures and paragraphs on how they are read, made where a rendering shows them, which no terminal does."""
 
-    draw: Callable[[], Sequence[Figure | str]]
+    draw: Callable[[], Figure | Sequence[Figure | str]]
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[RenderableType]:
         yield from ()
 
     def html(self, picture: Picture) -> str:
         """The paragraphs, and then the figures."""
-        drawn = self.draw() if picture else ()
+        made = self.draw() if picture else ()
+        drawn = made if isinstance(made, Sequence) else [made]
         shown = "".join(picture(one) for one in drawn if picture and not isinstance(one, str))
         box = f'<div class="pictures">{shown}</div>\n' if shown else ""
         return "".join(html(one) for one in drawn if isinstance(one, str)) + box

@@ -224,12 +224,7 @@ def diagnosis_document(
 
     def picture(name: str) -> Pictures:
         """Drawn where it is seen: matplotlib takes longer to load than a small diagnosis."""
-
-        def draw() -> Sequence[Any]:
-            drawn = resolve_name(f"identification.documents.pictures:{name}")(diagnosis)
-            return drawn if isinstance(drawn, Sequence) else [drawn]
-
-        return Pictures(draw)
+        return Pictures(lambda: resolve_name(f"identification.documents.pictures:{name}")(diagnosis))
 
     data, named = diagnosis.to_json() | {"files": files}, diagnosis.named
     reliance = [f"95 % intervals: {named.uncertainty.sentence}."] if data["effects"] else []
