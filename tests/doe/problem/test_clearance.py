@@ -229,9 +229,8 @@ def test_every_measured_point_is_to_be_seen(arm: Arm, postures: Array) -> None:
     for places in ([300.0, -200.0], [300.0], [-200.0]):
         chain = replace(arm.chain, tools={f"{y}": pose((0, y, 9)) for y in places}, settled=frozenset({"tool"}))
         cone, bodies = constraints_of(Model(replace(arm, chain=chain, constraints=(sight,))))
-        found.append(
-            [cone.margin(postures), bodies.distance(postures)[:, [Cell.SIGHT in each for each in bodies.pairs]]]
-        )  # type: ignore[union-attr]
+        seen = [Cell.SIGHT in each for each in bodies.pairs]  # type: ignore[union-attr]
+        found.append([cone.margin(postures), bodies.distance(postures)[:, seen]])
     (both, nearest), (one, here), (other, there) = found
     np.testing.assert_allclose(both, np.hstack([one, other]))
     np.testing.assert_allclose(nearest, np.minimum(here, there))
