@@ -60,10 +60,8 @@ def load_measurements(path: PathLike, links: int | Arm | None = None) -> Measure
     chain = links.chain if isinstance(links, Arm) else planar_chain([1.0])  # has the columns of every planar arm
     instrument, poses = chain.instrument, chain.angle_scale is not None
     postures = read_postures(table, kinds)
-    # each surface that is touched has a base of its own, as each session has; other targets stand where marked
     marked, touched = (instrument.target, "") if instrument.own_targets else (chain.point_column, instrument.target)
-    names = [table.texts(name) for name in ("session", touched) if name and name in table]
-    session = np.array(["/".join(parts) for parts in zip(*names, strict=True)]) if names else None
+    session = table.texts("session") if "session" in table else None
     marker = table.texts(marked) if marked and marked in table else None
     coordinates = instrument.coordinates[: len(chain.axes)]
     read = [read_column(table, name, kind, LENGTH_RANGE if positive else None) for name, kind, positive in coordinates]
@@ -94,6 +92,11 @@ def load_measurements(path: PathLike, links: int | Arm | None = None) -> Measure
             # before more than 3 of 4 rows: they are frames or labels, no counts, and none is missing
             gaps[rows] = left_out & (left_out.mean() <= 0.75)
         measurements = replace(measurements, gaps=gaps if gaps.any() else None)
+    if touched and touched in table:
+        # each surface has a base of its own, as each session has; from where joints came all rows tell, by their order
+        names = [each for each in (session, table.texts(touched)) if each is not None]
+        surfaces = np.array(["/".join(parts) for parts in zip(*names, strict=True)])
+        measurements = replace(measurements.rows(slice(None)), session=surfaces, session_names=())
     hint = ""
     if not instrument.reads_positions and "x_mm" in table:
         hint = f"[instrument] {instrument.kind} of the arm file reads no positions; for a tracker leave it out"

@@ -278,8 +278,9 @@ def test_distances(load: Load, arm: Arm) -> None:
 
 @pytest.mark.parametrize("arm", [BALL, FACE], ids=["sphere", "plane"])
 def test_contacts(load: Load, arm: Arm) -> None:
-    """Joints alone; every surface is a session of its own."""
+    """Joints alone; every surface is a session of its own, but for where joints come from."""
     data = load("q1_deg,q2_deg,surface\n30,50,left\n-90,7,top\n", arm)
+    np.testing.assert_array_equal(data.conditions.directions, [[1.0, 1.0], [-1.0, -1.0]])
     np.testing.assert_array_equal(data.positions, [[0.0], [0.0]])
     assert data.sessions == ("left", "top")
     assert load("q1_deg,q2_deg,surface,session\n30,50,left,mon\n", arm).sessions == ("mon/left",)
