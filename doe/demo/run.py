@@ -194,7 +194,7 @@ def overview_figure(demo: Demo) -> Figure:
     """Plan, gap step by step, and residuals against the joint at fault."""
     figure = Figure(figsize=(12.0, 3.9), layout="constrained")
     diagnosis = demo.diagnosed.result
-    places = figure.add_gridspec(1, 3, width_ratios=[1.0, 0.95, 1.25])
+    places = figure.add_gridspec(1, 3, width_ratios=[1.0, 0.95, 1.25], wspace=0.08)
     postures, axes = demo.design.plan.postures, figure.add_subplot(places[0], projection=demo.arm.chain.projection)
     draw_arm(axes, demo.arm, postures)
     within = "in the tracker's view" if demo.arm.constraints else "within the limits"

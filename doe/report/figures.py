@@ -14,6 +14,7 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.colors import LightSource
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from numpy.typing import NDArray
 
 from doe.bounds.certificate import sensitivity
@@ -35,7 +36,9 @@ def plan_figure(arm: Arm, postures: Array) -> Figure:
     count = f"{len(postures)} postures" if len(shown) == len(postures) else f"{len(shown)} of {len(postures)} postures"
     in_space, (up, around) = arm.chain.projection is not None, side(arm)
     views = {"front": (up, around), "aside": (up, around + 90.0)} if in_space else {"front": None}
-    figure = Figure(figsize=(10.0, 8.6 if in_space else 4.6), layout="constrained")
+    # its margins know nothing of labels in space
+    layout = ConstrainedLayoutEngine(rect=(0.03, 0.0, 0.94, 1.0))
+    figure = Figure(figsize=(10.0, 8.6 if in_space else 4.6), layout=layout)
     axes: Any = figure.subplot_mosaic(
         [["front", "aside"], ["joints", "joints"]] if in_space else [["front", "joints"]],
         height_ratios=[2.6, 1.0] if in_space else None,
@@ -51,10 +54,10 @@ def plan_figure(arm: Arm, postures: Array) -> Figure:
             # of the arm: a tracker may be far from it
             limits = np.array([axes[name].get_xlim(), axes[name].get_ylim(), axes[name].get_zlim()])
             axes[name].set(xlim=limits[0], ylim=limits[1], zlim=limits[2])
-            axes[name].set_box_aspect(limits[:, 1] - limits[:, 0], zoom=0.85)  # the same scale on all axes
+            axes[name].set_box_aspect(limits[:, 1] - limits[:, 0], zoom=0.95)  # the same scale on all axes
         draw_constraints(axes[name], arm)
     first = "; bodies as in the first" if in_space and arm.cell is not None else ""
-    axes["front"].set_title(f"{count}{first}", fontsize=9)
+    figure.suptitle(f"{count}{', from two sides' * in_space}{first}", fontsize=9)
     draw_joints(axes["joints"], arm, postures)
     return figure
 
@@ -69,7 +72,7 @@ def draw_joints(joints: Axes, arm: Arm, postures: Array) -> None:
         joints.scatter(factor * postures[:, j], np.full(len(postures), j), c=colors, s=26, zorder=3, lw=0)
     joints.set(yticks=range(arm.links), yticklabels=[f"$q_{j + 1}$" for j in range(arm.links)])
     joints.set_xlabel(" or ".join(sorted({"position [mm]" if kind == PRISMATIC else "angle [deg]" for kind in types})))
-    joints.set_title("angles within the joint limits, light to dark as they are measured", fontsize=9)
+    joints.set_title("angles within the joint limits, light to dark in order of measurement", fontsize=9)
     joints.invert_yaxis()
 
 
