@@ -270,33 +270,25 @@ def chord_steps(problem: Problem, jacobian: Array, starts: Array) -> tuple[Array
     the price of a few position evaluations: no Jacobian, no decomposition per step. The matrix only sets the speed:
     what is accepted is stationary for its own data set. What does not contract quickly, or meets a bound, is left.
     """
-    lower, upper = problem.model.parameters.lower, problem.model.parameters.upper
-    held = problem.prior_rows.T @ problem.prior_rows
-    table = problem.model.condition_table(problem.postures, problem.conditions)
+    model, held = problem.model, problem.prior_rows.T @ problem.prior_rows
+    table, data = model.condition_table(problem.postures, problem.conditions), problem.positions
     lengths = np.linalg.norm(jacobian, axis=0)
     unit = jacobian / lengths
     inverse = np.linalg.inv(unit.T @ unit) / lengths  # for scaled gradients
-    parameters, squares, stationary = starts.copy(), np.full(len(starts), np.nan), np.zeros(len(starts), dtype=bool)
-    x, last, on = starts.copy(), np.full(len(starts), np.inf), np.arange(len(starts))
-    data = np.ascontiguousarray(np.moveaxis(problem.positions, -1, 0))
+    x, quick, last = starts.copy(), starts.copy(), np.full(len(starts), np.inf)
     for _ in range(12):
-        at = x[on]
-        arguments = problem.postures, table, at[:, None, :], np.moveaxis(data, 0, -1)
-        gradients, by_row = problem.model.expressions.residual_gradient(*arguments)
+        gradients, by_row = model.expressions.residual_gradient(problem.postures, table, x[:, None, :], data)
         # components come first in memory, so these sums over rows are products with contiguous memory
-        pull = at @ held
+        pull = x @ held
         gradient = ((np.moveaxis(gradients[..., 0], -1, 0) @ problem.weights).T - pull) / lengths
-        cost = by_row[..., 0, 0] @ problem.weights + np.einsum("kp,kp->k", pull, at)
+        squares = by_row[..., 0, 0] @ problem.weights + np.einsum("kp,kp->k", pull, x)
         size = np.max(np.abs(gradient), axis=1)
-        inside = np.all((at >= lower) & (at <= upper), axis=1)
-        done = (size <= GRADIENT_TOLERANCE * np.sqrt(cost) + problem.rounding[on]) & inside
-        squares[on[done]], stationary[on[done]] = cost[done], True
-        contracts = size <= 0.3 * last[on]  # a step that shrinks the gradient by less hands the data set over
-        kept = on[(contracts | done) & inside]
-        parameters[kept], last[on] = x[kept], size
-        going = ~done & contracts
-        if not going.any():
+        inside = np.all((x >= model.parameters.lower) & (x <= model.parameters.upper), axis=1)
+        stationary = (size <= GRADIENT_TOLERANCE * np.sqrt(squares) + problem.rounding) & inside
+        goes_on = ~stationary & inside & (size <= 0.3 * last)  # a step that shrinks the gradient by less is the last
+        quick[goes_on | stationary] = x[goes_on | stationary]
+        if not goes_on.any():
             break
-        on, data = on[going], data if going.all() else np.ascontiguousarray(data[:, going])
-        x[on] += gradient[going] @ inverse
-    return parameters, squares, stationary
+        x[goes_on] += gradient[goes_on] @ inverse
+        last = size
+    return quick, squares, stationary
