@@ -7,10 +7,11 @@ table is a complete set of values, none of which is arbitrary.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
+from math import remainder
 from operator import attrgetter
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -323,9 +324,11 @@ class CorrectedValue:
 
 
 class _Spread(NamedTuple):
-    """What is known of parameters: names and covariance (p, p), degrees of freedom of the variances (p,), a factor
-    (p, r) of the covariance before the measurements, and names of those that are not estimable."""
+    """What is known of an arm's parameters: values of all; names of those estimated, their covariance (p, p), degrees
+    of freedom of the variances (p,), and a factor (p, r) of the covariance before the measurements; and names of those
+    that are not estimable."""
 
+    values: Values
     names: tuple[str, ...]
     covariance: Array | None
     freedom: Array
@@ -360,6 +363,17 @@ class _Spread(NamedTuple):
             prior = float(np.linalg.norm(before.T @ slope))
         return CorrectedValue(name, parameter, nominal, corrected, std, low, high, unit, convention, prior)
 
+    def slopes(self, table: Any, parameters: Iterable[Parameter]) -> dict[Any, dict[str, float]]:
+        """Key of a table of values -> its derivatives by those of the parameters that were to be estimated, of which
+        they are not zero, by central differences."""
+        slopes: dict[Any, dict[str, float]] = {key: {} for key in table(self.values)}
+        for name, step in ((p.name, STEP[p.unit]) for p in parameters if p.name in {*self.names, *self.unknown}):
+            up, down = (table({**self.values, name: self.values.get(name, 0.0) + move}) for move in (step, -step))
+            for key, of_key in slopes.items():
+                if (rise := up[key] - down[key]) != 0.0:
+                    of_key[name] = remainder(rise, 360.0) / (2.0 * step)  # whole turns apart; lengths move by less
+        return slopes
+
 
 def corrected_values(
     arm: Arm, calibration: Calibration | None = None, unknown: Collection[str] = (), factor: Array | None = None
@@ -375,7 +389,8 @@ def corrected_values(
     names, values = calibration.parameter_names, {**model.fixed, **calibration.values}
     prior = model.prior if {*model.prior} <= {*names} else {}
     before = np.diag([prior.get(name, 0.0) for name in names]) if factor is None else factor
-    of, rows = _Spread(names, calibration.covariance, freedom_of(calibration), before, unknown), list[CorrectedValue]()
+    of = _Spread(values, names, calibration.covariance, freedom_of(calibration), before, unknown)
+    rows = list[CorrectedValue]()
     for j, length in enumerate(arm.lengths.tolist(), start=1):
         if (name := f"{LENGTH_ERROR}:{j}") in model.geometry_parameters.names:
             value = length + values.get(name, 0.0)
@@ -392,9 +407,8 @@ def corrected_values(
             meaning = f"zero of joint 1 with how the arm is turned, {STANDS}" if stands else ZERO.format(j=j)
             alone = next(iter(slopes)) if len(slopes) == 1 else None
             rows.append(of.row(f"zero of joint {j}", alone, 0.0, value, slopes, p.file_unit, meaning))
-    drawn, corrected_tables, estimated = _tables(chain, {}), _tables(chain, values), {*names, *unknown}
-    steps = {p.name: STEP[p.unit] for p in chain.every_parameter if p.name in estimated and p.kind != JOINT_OFFSET}
-    slopes_of = _differences(lambda at: _tables(chain, at), values, steps)
+    drawn, corrected_tables = _tables(chain, {}), _tables(chain, values)
+    slopes_of = of.slopes(partial(_tables, chain), (p for p in chain.every_parameter if p.kind != JOINT_OFFSET))
     for (place, key), value in corrected_tables.items():
         turned_about, (word, _, number), nominal = ", turned about its own x, y and z axis", place.partition(" "), None
         meaning = f"measured point in the frame of the tip{turned_about if key.endswith('_deg') else ''}"
@@ -405,7 +419,6 @@ def corrected_values(
             frame = FRAME if (place, "roll_deg") in corrected_tables else TURNED_FRAME
             meaning = frame.format(j=j, before="the base" if j == 1 else f"joint {j - 1}")
             nominal = drawn[place, key] + 0.0  # no -0
-            value = value - _turns(value - nominal, key)
         axis, _, unit = key.rpartition("_")
         rows.append(of.row(f"{place} {axis}", None, nominal, value, slopes_of[place, key], unit, meaning))
     # what the arm file says of the instrument is where fits start
@@ -447,23 +460,6 @@ def _tables(chain: KinematicChain, values: Values) -> dict[tuple[str, str], floa
     return {(place, k): v for place, row in rows.items() for k, v in row.items() if k != "name"}
 
 
-def _turns(angle: float, key: str) -> float:
-    """Whole turns in an angle [deg], zero of other keys."""
-    return 360.0 * round(angle / 360.0) if key.endswith("_deg") else 0.0
-
-
-def _differences(table: Any, values: Values, steps: Values) -> dict[Any, dict[str, float]]:
-    """Key of a table of values -> its derivatives by the parameters of steps, those that are not zero, by central
-    differences."""
-    slopes: dict[Any, dict[str, float]] = {key: {} for key in table(values)}
-    for name, step in steps.items():
-        up, down = (table({**values, name: values.get(name, 0.0) + sign * step}) for sign in (1.0, -1.0))
-        for key, of_key in slopes.items():
-            if (rise := up[key] - down[key]) != 0.0:
-                of_key[name] = (rise - _turns(rise, key[1])) / (2.0 * step)
-    return slopes
-
-
 # -- the table of Denavit and Hartenberg -------------------------------------------------------------------------------
 def dh_table(arm: Arm) -> tuple[tuple[CorrectedValue, ...], list[tuple[str, Array]]]:
     """Nominal and corrected numbers of the links between the axes of a calibrated arm, without those drawn by
@@ -491,10 +487,9 @@ def dh_table(arm: Arm) -> tuple[tuple[CorrectedValue, ...], list[tuple[str, Arra
         return numbers(corrected_links(corrected(arm.chain, at), drawn)[0])
 
     nominal, now = numbers(drawn), table(values)
-    units = {p.name: p.unit for p in model.geometry_parameters}  # effects, hundreds with the library, are not in it
-    steps = {name: STEP.get(units[name], 1e-6) for name in calibration.parameter_names if name in units}
-    names, slopes, listed = calibration.parameter_names, _differences(table, values, steps), []
-    of = _Spread(names, calibration.covariance, freedom_of(calibration), np.zeros((len(names), 0)))
+    names, listed = calibration.parameter_names, list[CorrectedValue]()
+    of = _Spread(values, names, calibration.covariance, freedom_of(calibration), np.zeros((len(names), 0)))
+    slopes = of.slopes(table, arm.chain.every_parameter)  # effects, hundreds with the library, are not in it
     for (j, name), value in now.items():
         row_number = j + (arm.chain.convention != STANDARD and name in ("a", "alpha", "beta"))
         unit, meaning = DH_MEANING[name]
