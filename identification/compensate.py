@@ -150,7 +150,7 @@ def compensate(
     if where.directions is not None:
         commands = commands - servo_shift(arm, where.directions)
     errors, notes = distances(left), tuple(assumed)
-    return Compensation(arm, points, commands, errors, turned, angles, barred, sided, tolerance, notes)
+    return Compensation(arm, points, commands, errors, barred, turned, angles, sided, tolerance, notes)
 
 
 def _checked(name: str, values: ArrayLike, columns: int) -> Array:
@@ -170,12 +170,13 @@ class Compensation(Documented):
     """Joint commands for k targets.
 
     arm : the calibrated arm
-    targets : (k, d) [mm];  orientations : (k, 3, 3) of the tool for the instrument, None: any will do
+    targets : (k, d) [mm]
     commands : (k, n) postures [rad] for the real arm, within the joint limits; the nearest found where unreachable, at
         angles of the identification where no nominal postures were given
     errors : (k,) distance of the real arm's tip from the target [mm], by the calibrated model
+    barred : (k) constraints that a command misses, in words, empty where all hold
+    orientations : (k, 3, 3) of the tool for the instrument, None: any will do
     angles : (k,) between the orientation wanted and that of the tool [rad], None: any will do
-    barred : (k) constraints that a command misses, in words, empty where all hold; none at all: nothing is constrained
     sided : effects of the model for which the order of the targets was taken as that of the approach
     tolerance : [mm] what counts as reached
     assumed : sentences on the conditions that were taken because none were given
@@ -185,9 +186,9 @@ class Compensation(Documented):
     targets: Array
     commands: Array
     errors: Array
+    barred: tuple[str, ...]
     orientations: Array | None = None
     angles: Array | None = None
-    barred: tuple[str, ...] = ()
     sided: tuple[str, ...] = ()
     tolerance: float = TOLERANCE
     assumed: tuple[str, ...] = ()
@@ -205,24 +206,24 @@ class Compensation(Documented):
     @property
     def reached(self) -> NDArray[np.bool_]:
         """(k,) True where it is near, and every constraint holds."""
-        return self.near & np.array([not text for text in self.barred]) if self.barred else self.near
+        return self.near & (np.array(self.barred, dtype=str) == "")
 
     @property
     def outside(self) -> NDArray[np.bool_] | None:
         """(k, n) True where a joint is outside the angles of the identification, None: these are not known. Not where a
         constraint is missed: nobody drives there."""
         out = outside(self.arm, self.commands)
-        return out if out is None or not self.barred else out & (np.array(self.barred) == "")[:, None]
+        return None if out is None else out & (np.array(self.barred, dtype=str) == "")[:, None]
 
     @property
     def messages(self) -> list[str]:
         """(k) why a target is not reached; empty where it is."""
         messages, out = [], self.outside
-        for k, (error, near) in enumerate(zip(self.errors, self.near, strict=True)):
+        for k, (error, near, barred) in enumerate(zip(self.errors, self.near, self.barred, strict=True)):
             nearest = f"the nearest posture{'' if out is None or out[k].any() else ' (within the angles identified)'}"
             by = f"{error:.4g} mm{'' if self.angles is None else f' and {np.degrees(self.angles[k]):.4g} deg'}"
             far = "" if near else f"out of reach within the joint limits: {nearest} misses it by {by}"
-            messages.append("; ".join(filter(None, [far, *self.barred[k : k + 1]])))
+            messages.append("; ".join(filter(None, [far, barred])))
         return messages
 
     @property

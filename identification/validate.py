@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -63,6 +64,7 @@ class Validation(Documented):
     refit : what was refitted, `base`, `offsets` or `none`, in each session separately
     refitted : session, name, unit and value of each refitted parameter, in file units
     residuals, nominal_residuals : (m, d) measured less computed [mm], by the model and by the drawing
+    left_open : combinations of what was to be refitted that the rows do not determine
     """
 
     arm: Arm
@@ -71,7 +73,7 @@ class Validation(Documented):
     refitted: tuple[Mapping[str, Any], ...]
     residuals: Array
     nominal_residuals: Array
-    notes: tuple[str, ...] = ()
+    left_open: int = 0
 
     def __post_init__(self) -> None:
         for name in ("residuals", "nominal_residuals"):
@@ -117,8 +119,9 @@ class Validation(Documented):
             **shown.unit_key(self.arm),
         }
 
-    def remarks(self, left_open: int) -> Iterator[str]:
-        """What to know before these figures are believed;  left_open : combinations that were to be refitted"""
+    notes = cached_property(lambda self: tuple(self._remarks()))  # what to know before these figures are believed
+
+    def _remarks(self) -> Iterator[str]:
         arm, measurements, refit = self.arm, self.measurements, self.refit
         after, before = (distances(residuals) for residuals in (self.residuals, self.nominal_residuals))
         # where the squares saved are no more than groups of rows, by time or by region of posture, scatter by
@@ -152,7 +155,7 @@ class Validation(Documented):
             again = "these rows are taken for that session from its beginning to its end"
             yield f"{', '.join(once)}: {again if refit == 'none' else at_end}"
         yield from lacking(model, measurements)
-        if left_open:
+        if self.left_open:
             yield "the postures do not determine everything that is refitted; what they leave open stays as in the file"
 
     def document(self) -> Document:
@@ -183,8 +186,7 @@ def validate(arm: Arm, measurements: Measurements, refit: str = "base") -> Valid
         raise InputError(f"refit none: no calibrated file says where each {what} is, allowed: base, which finds it")
     refitted, residuals, left_open = _refitted(arm, measurements, refit)
     nominal = _refitted(replace(arm, effects=(), calibration=None), measurements, refit)[1]
-    validation = Validation(arm, measurements, refit, tuple(refitted), residuals, nominal)
-    return replace(validation, notes=tuple(validation.remarks(left_open)))
+    return Validation(arm, measurements, refit, tuple(refitted), residuals, nominal, left_open)
 
 
 def drawing_residuals(arm: Arm, measurements: Measurements) -> Array:

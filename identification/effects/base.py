@@ -345,20 +345,17 @@ def widths(chain: KinematicChain) -> dict[str, int]:
     return {**loads, **joints, "tool": d, "base_rotation": turns, "base_translation": d, "instrument": d}
 
 
-def state_slices(chain: KinematicChain) -> dict[str, slice]:
-    """Where the parts of the state stand, on which effects depend besides posture and conditions: payload [kg],
-    rotation of gravity [rad], in space shift of the payload [mm], link lengths (n) [mm] without extensions, and the tip
-    (d) [mm] before the instrument."""
-    sizes = widths(chain)
-    return slices({place: sizes[place] for place in OF_LOAD} | {"lengths": len(chain), "tip": chain.dimension})
-
-
 def position_and_state(
     chain: ArmState, effects: Sequence[Effect], values: ca.SX, added: ca.SX | None = None
 ) -> tuple[ca.SX, ca.SX]:
     """(d,) measured position [mm] (identification/README.md, "Effects"), with three further elements where orientations
-    are measured, see `Model.symbols`; and the state (`state_slices`);  values : those of the geometry, then the
-    parameters of the effects in order;  added : further contributions at all places, in the order of `widths`"""
+    are measured, see `Model.symbols`; and the state on which effects depend besides posture and conditions: payload
+    [kg], rotation of gravity [rad], in space shift of the payload [mm], link lengths (n) [mm] without extensions, and
+    the tip (d) [mm] before the instrument.
+
+    values : those of the geometry, then the parameters of the effects in order
+    added : further contributions at all places, in the order of `widths`
+    """
     drawn, sizes = chain.geometry, widths(chain.geometry)
     counts = [len(effect.parameters) for effect in effects]
     geometry, *parts = ca.vertsplit(values, [*accumulate([0, values.numel() - sum(counts), *counts])])

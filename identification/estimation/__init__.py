@@ -176,11 +176,9 @@ def _identification(problem: Problem, data: Measurements, solution: Solution, ro
     before = problem.residuals(was)[0]
     sentences, implausible = doubts_of_fit(model, x, identifiable, before, after, data)
     # rows that the model does not explain, where enough equations are left to tell
-    used, held = problem.weights > 0.0, problem.prior_rows
-    unexplained, (m, d, p) = np.zeros(len(after), dtype=bool), rows.jacobian.shape
-    if m * d - p + len(held) > p and not only_rounding(after, model, data):
-        columns, left = rows.jacobian.reshape(m * d, p), held @ (problem.prior_center - x)
-        unexplained[used] = outlying(rows.residual, columns, held, left)
+    used, unexplained, p = problem.weights > 0.0, np.zeros(len(after), dtype=bool), len(x)
+    if rows.residual.size - p + len(problem.prior_rows) > p and not only_rounding(after, model, data):
+        unexplained[used] = outlying(rows.residual, rows.columns, rows.moment)
     structure = together(unexplained, data.postures, data.posture_numbers)
     outlier = unexplained & ~structure
     first = np.flatnonzero(used)[np.unique(data.repeat_numbers[used], return_index=True)[1]]

@@ -25,7 +25,7 @@ from scipy.special import chdtrc, chdtri, fdtrc, gammaln, ndtri, pdtrc, stdtr, s
 from identification.arm import Calibration
 from identification.arrays import Array
 from identification.estimation.problem import Problem
-from identification.information import ALONE, Spectrum, column_space, product_inverse, spectrum
+from identification.information import ALONE, Spectrum, product_inverse, spectrum
 from identification.kinematics.parameters import ParameterSet
 from identification.measurements import Measurements
 
@@ -79,6 +79,8 @@ class WhiteRows:
         """(m, d, rank) Q = J @ root, where root @ root.T = (J^T J + R^T R)^-1."""
         return self.jacobian @ self.decomposed.root
 
+    # (rank,) what columns of a prior's rows, orthonormal together with Q, times their residuals are
+    moment = property(lambda self: self.decomposed.root.T @ (self.pull * np.ones(self.jacobian.shape[2])))
     freedom = property(lambda self: self.residual.size - self.rank)  # equations less combinations estimated
     squares = property(lambda self: float(np.sum(self.residual**2)))  # sum of squared whitened residuals
 
@@ -199,7 +201,7 @@ def _robust(rows: WhiteRows, misfit: bool, several: bool, variance: float) -> Un
         return None
     # an active bound hides what is behind it, and residuals that the parameters could explain would count as misfit: so
     # those that the linear model leaves without bounds
-    slope = np.einsum("mdr,md->r", rows.columns, rows.residual) + root.T @ (rows.pull * np.ones(len(root)))
+    slope = np.einsum("mdr,md->r", rows.columns, rows.residual) + rows.moment
     rows = replace(rows, residual=rows.residual - rows.columns @ slope)
     length = rows.correlated
     if not (misfit or several or length > 1 or lack_of_fit(rows.residual, rows.repeats, rows.rank)[1] < LEVEL):
@@ -327,20 +329,15 @@ def limits_95(parameters: ParameterSet, values: Array, deviations: Array, freedo
 
 
 # -- outliers ----------------------------------------------------------------------------------------------------------
-def outlying(
-    residual: Array, columns: Array, held: Array | None = None, left: Array | None = None
-) -> NDArray[np.bool_]:
+def outlying(residual: Array, blocks: Array, moment: Array | float = 0.0) -> NDArray[np.bool_]:
     """(m,) rows whose residual (m, d), whitened, the model does not explain.
 
     The worst row is taken out and the linear model fitted again, until none is farther off than a limit: studentised
     squared residuals of d coordinates, over their robust scale, are chi-square with d degrees of freedom.
 
-    columns : (m d, p) whitened Jacobian;  held, left : (r, p) rows and (r,) residuals of a prior
+    blocks, moment : see `studentised`
     """
-    (m, d), p = residual.shape, columns.shape[1]
-    basis = column_space(columns if held is None else np.concatenate([columns, held]), np.ones(p))[0]
-    blocks = basis[: m * d].reshape(m, d, -1)
-    moment = np.zeros(blocks.shape[2]) if left is None else basis[m * d :].T @ left
+    m, d = residual.shape
     # as unlikely as 6 standard deviations in a plane: at most 3 in 10,000 clean data sets of 8 to 200 rows lose a row;
     # at 4 it would be 3 to 70 in 1,000, at 3 from 4 % to 89 %
     kept, limit = np.ones(m, dtype=bool), float(chdtri(d, chdtrc(2, 6.0**2)))
@@ -353,11 +350,12 @@ def outlying(
     return np.zeros(m, dtype=bool)
 
 
-def studentised(residual: Array, blocks: Array, kept: NDArray[np.bool_], moment: Array) -> Array:
+def studentised(residual: Array, blocks: Array, kept: NDArray[np.bool_], moment: Array | float) -> Array:
     """(m,) squared residual of each row of residual (m, d) in units of its own covariance and of the robust scale of
     the kept rows, after a fit to these; 0 of the others.
 
-    blocks : (m, d, k) columns that are orthonormal together with rows of a prior;  moment : (k,) of these rows
+    blocks : (m, d, k) columns that are orthonormal together with rows of a prior
+    moment : (k,) of these rows, times their residuals; 0: no prior
     """
     d, k = blocks.shape[1:]
     kept_blocks, inside, squares, left_out = blocks[kept], residual[kept], np.zeros(len(kept)), blocks[~kept]

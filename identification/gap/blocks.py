@@ -21,9 +21,9 @@ import casadi as ca
 import numpy as np
 
 from identification.arm import Arm, EffectSpec, splines
-from identification.arrays import Array
+from identification.arrays import Array, slices
 from identification.effects import Effect, Scope, build, of_dimension
-from identification.effects.base import OF_LOAD, ArmState, contribution, state_slices, widths
+from identification.effects.base import OF_LOAD, ArmState, contribution, widths
 from identification.effects.formulas import RARE
 from identification.gap.fit import Fitted, Rows
 from identification.gap.likelihood import SIZES, Products
@@ -221,10 +221,11 @@ Key = tuple[type[Effect], int | None, tuple[Any, ...]]
 def _slopes(arm: Arm, remembers: bool, keys: tuple[Key, ...]) -> tuple[Evaluate, dict[Key, list[tuple[int, int, int]]]]:
     """Function of arrays (q, c, state, settings) that gives the Z slopes of some effects that are not identically
     zero, (..., Z, 1); and of each effect (its parameter, place, number of the slope)."""
-    columns, where = condition_columns(arm.links, ("past",) * remembers), state_slices(arm.chain)
+    columns, sizes = condition_columns(arm.links, ("past",) * remembers), widths(arm.chain)
+    where = slices({place: sizes[place] for place in OF_LOAD} | {"lengths": arm.links, "tip": arm.dimension})
     ends = (max(place.stop for place in each.values()) for each in (columns, where))
     q, c, state = ca.SX.sym("q", arm.links), *map(ca.SX.sym, ("c", "state"), ends)
-    chain, sizes = ArmState.of(arm, q, c, columns), widths(arm.chain)
+    chain = ArmState.of(arm, q, c, columns)
     symbols: dict[str, Any] = {name: state[place] for name, place in where.items()}
     loaded = replace(chain, **{place: symbols[place] for place in OF_LOAD})
     scanned = {s: ca.SX.sym(s) for _, _, settings in keys for s in settings if isinstance(s, str)}

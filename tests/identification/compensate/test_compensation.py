@@ -43,7 +43,7 @@ def test_figures() -> None:
     np.testing.assert_allclose(figures["commands_deg"][0], [30.0, 40.0])  # the slide in millimetres
     assert figures["commands_deg"][1:] == [None, None]
     assert [row["reachable"] for row in figures["commands"]] == [True, False, False]
-    for found, reached in ((FOUND, [0]), (replace(FOUND, barred=()), [0, 2])):
+    for found, reached in ((FOUND, [0]), (replace(FOUND, barred=("",) * 3), [0, 2])):
         np.testing.assert_array_equal(found.safe_commands[reached], found.commands[reached])
         assert np.isnan(np.delete(found.safe_commands, reached, axis=0)).all()
 
@@ -65,7 +65,7 @@ def test_a_pose_is_reached_if_its_angle_is_too() -> None:
     posed = replace(FOUND, angles=np.radians([0.0, 2.0, 0.0]))
     assert [row["error_deg"] for row in posed.to_json()["commands"]] == [0.0, pytest.approx(2.0), None]
     np.testing.assert_allclose(posed.misses["error_deg"], [0.0, 2.0, np.nan])
-    posed = replace(FOUND, angles=np.radians([0.0, 0.0, 2.0]), barred=())
+    posed = replace(FOUND, angles=np.radians([0.0, 0.0, 2.0]), barred=("",) * 3)
     assert posed.reached.tolist() == [True, False, False]
     assert posed.messages[2].endswith("the nearest posture misses it by 1e-09 mm and 2 deg")
     assert posed.to_json()["max_error_deg"] == 0.0

@@ -365,7 +365,7 @@ def test_studentised_squares_are_chi_square_of_all_coordinates(d: int) -> None:
     limit, first = stats.chi2.isf(stats.chi2.sf(6.0**2, 2), d) / squares[0], residual[0].copy()
     for share in (0.9, 1.1):
         residual[0] = np.sqrt(share * limit) * first
-        assert outlying(residual, columns)[0] == (share > 1.0)
+        assert outlying(residual, blocks)[0] == (share > 1.0)
 
 
 def test_with_a_prior_the_squares_are_those_of_the_prediction_without_the_row() -> None:
@@ -395,14 +395,14 @@ def test_with_a_prior_the_squares_are_those_of_the_prediction_without_the_row() 
 def test_outliers_that_hide_each_other_are_found_and_a_third_of_the_rows_is_structure() -> None:
     """Three of one direction and size, in 30 rows: none stands out beside the other two until one is taken out."""
     rng = np.random.default_rng(1)
-    columns, residual = rng.normal(size=(60, 6)), rng.normal(size=(30, 2))
+    blocks, residual = np.linalg.qr(rng.normal(size=(60, 6)))[0].reshape(30, 2, 6), rng.normal(size=(30, 2))
     residual[[3, 4, 20]] += 25.0
-    assert np.flatnonzero(outlying(residual, columns)).tolist() == [3, 4, 20]
-    residual, columns = rng.normal(size=(30, 2)), rng.normal(size=(60, 1))
+    assert np.flatnonzero(outlying(residual, blocks)).tolist() == [3, 4, 20]
+    residual, blocks = rng.normal(size=(30, 2)), np.linalg.qr(rng.normal(size=(60, 1)))[0].reshape(30, 2, 1)
     residual[:10] *= 1000.0
-    assert not outlying(residual, columns).any()
+    assert not outlying(residual, blocks).any()
     residual[5:10] /= 1000.0
-    assert np.flatnonzero(outlying(residual, columns)).tolist() == list(range(5))
+    assert np.flatnonzero(outlying(residual, blocks)).tolist() == list(range(5))
 
 
 def test_a_fit_says_which_rows_it_does_not_explain() -> None:
