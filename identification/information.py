@@ -77,15 +77,6 @@ def product_inverse(product: Array) -> Array:
     return np.asarray(inverse / lengths / lengths[:, None])
 
 
-def column_space(jacobian: Array, scales: Array) -> tuple[Array, Array]:
-    """(N, rank) orthonormal basis of the columns of a Jacobian (N, p) that may be whitened, and (p, rank) of what
-    combinations of them it consists."""
-    lengths, zero = column_lengths(np.linalg.norm(jacobian, axis=0), scales)
-    left, singular, right = np.linalg.svd(np.where(zero, 0.0, jacobian / lengths), full_matrices=False)
-    seen = significant(singular)
-    return left[:, seen], right[seen].T / singular[seen] / lengths[:, None]
-
-
 @dataclass(frozen=True)
 class Spectrum:
     """Singular value decomposition of a Jacobian whose columns are scaled to unit length.

@@ -27,7 +27,7 @@ from identification.effects.base import OF_LOAD, ArmState, contribution, widths
 from identification.effects.formulas import RARE
 from identification.gap.fit import Fitted, Rows
 from identification.gap.likelihood import SIZES, Products
-from identification.information import RANK_TOLERANCE, VISIBLE, column_space, significant
+from identification.information import RANK_TOLERANCE, VISIBLE, significant, spectrum
 from identification.kinematics.parameters import PRISMATIC, REVOLUTE
 from identification.measurements import BY_ORDER, FOLLOWING, condition_columns
 from identification.model import Model
@@ -155,7 +155,8 @@ class Library:
             named = at.columns_of(*effects)
             rest = np.setdiff1d(np.arange(len(at.values)), named)
             y = rows.whiten(at.errors + at.linearized[1][:, :, named] @ at.values[named])
-            basis = column_space(at.jacobian[:, rest], at.model.scales[rest])[0]
+            columns = at.jacobian[:, rest]
+            basis = columns @ spectrum(columns, at.model.scales[rest]).root
             y = y - basis @ (basis.T @ y)
             gains = []  # share of y^T y that a wave of each order explains
             for orders in np.array_split(ORDERS, 8):
@@ -412,7 +413,8 @@ def linearized(library: Library, at: Fitted, wrong: Sequence[int] = (), outside:
         columns.append(np.eye(rows.dimension) * (np.arange(len(rows)) == k)[:, None, None])
         blocks.append(Block(f"row:{k}", "row", 0.0, row=k))
     target = rows.whiten(y)
-    u, back = column_space(at.jacobian[:, base], model.scales[base])  # (g, r): to the parameters
+    back = spectrum(at.jacobian[:, base], model.scales[base]).root  # (g, r): to the parameters
+    u = at.jacobian[:, base] @ back
     left = target - u @ (u.T @ target)
     sizes, roots = np.array([column.shape[2] for column in columns]), [np.zeros((0, 0))] * len(blocks)
     tables, taken = [np.zeros((0, len(u)))] * len(blocks), [np.zeros((0, u.shape[1]))] * len(blocks)

@@ -26,7 +26,7 @@ from identification.gap.detectability import POWER
 from identification.gap.fit import Fitted
 from identification.gap.likelihood import mixed
 from identification.gap.search import MOST, Posterior
-from identification.information import ALONE, column_space
+from identification.information import ALONE, spectrum
 from identification.measurements import POINT, Conditions, Measurements, distances
 from identification.validate import placed
 
@@ -306,7 +306,7 @@ def predicted_from_others(
     # the prior of a set is what its odds have beyond its likelihood with all rows
     priors = [np.log(one.probability) - problem.products.state(one.key).ratio for one in sets]
     # (m d, ..) the base's columns, orthonormal when white, the others, and y: in mm, and white
-    back, (m, d) = column_space(at.jacobian[:, base], at.model.scales[base])[1], y.shape
+    back, (m, d) = spectrum(at.jacobian[:, base], at.model.scales[base]).root, y.shape
     columns = [c[kept].reshape(m * d, -1) @ root for c, root in zip(part.columns, part.roots, strict=True)]
     base_columns, rank = at.linearized[1][:, :, base].reshape(m * d, -1) @ back, back.shape[1]
     table = np.concatenate([base_columns, *columns, y.reshape(m * d, 1)], axis=1)

@@ -32,7 +32,7 @@ from identification.gap.detectability import assess, look_alikes, require_spare
 from identification.gap.fit import Fitted, Rows, determined, fit
 from identification.gap.result import Candidate, Diagnosis, as_calibration, probabilities
 from identification.gap.search import MOST_ROWS, PASSES, Posterior, posterior_of
-from identification.information import column_space
+from identification.information import spectrum
 from identification.inspection.readings import gap_notes
 from identification.measurements import Measurements, of_these_sessions, rms_distance
 from identification.model import Model
@@ -148,7 +148,7 @@ def diagnose(
     of_noise = zip(posterior.noises, posterior.shares.tolist(), strict=True)
     scatter = [Finding(noise.name, max(1.0 - p, 0.0), noise.size) for noise, p in of_noise if noise.name and p >= 0.5]
     here = fitted.on(rows)
-    blocks = column_space(here.jacobian, fitted.model.scales)[0].reshape(*before.shape, -1)
+    blocks = (here.jacobian @ spectrum(here.jacobian, fitted.model.scales).root).reshape(*before.shape, -1)
     unexplained = outlying(here.residual.reshape(before.shape), blocks)
     far = kept & together(unexplained, rows.postures, rows.posture_numbers)
     freedom = np.full(len(predicting.values), float(predicting.freedom))

@@ -27,7 +27,6 @@ from identification.estimation.uncertainty import (
     together,
     uncertainty,
 )
-from identification.information import column_space
 from identification.inspection.inspection import inspect
 from identification.simulate import simulate
 from tests.identification.estimation.cases import SIGMA, TRUTH, arm, data, plan
@@ -357,7 +356,7 @@ def test_studentised_squares_are_chi_square_of_all_coordinates(d: int) -> None:
     """
     rng = np.random.default_rng(9)
     residual, columns = 7.0 * rng.normal(size=(4000, d)), rng.normal(size=(4000 * d, 5))
-    blocks = column_space(columns, np.ones(5))[0].reshape(4000, d, -1)
+    blocks = np.linalg.qr(columns)[0].reshape(4000, d, -1)
     squares = studentised(residual, blocks, np.ones(4000, dtype=bool), np.zeros(5))
     assert np.median(squares) == pytest.approx(stats.chi2.median(d), rel=1e-9)
     assert np.mean(squares < stats.chi2.ppf(0.9, d)) == pytest.approx(0.9, abs=0.02)
@@ -386,7 +385,7 @@ def test_with_a_prior_the_squares_are_those_of_the_prediction_without_the_row() 
         off, covariance = residual[i] - columns[i] @ step, np.eye(d) + columns[i] @ inverse @ columns[i].T
         expected.append(off @ np.linalg.solve(covariance, off))
     squares = np.array(expected) * stats.chi2.median(d) / np.median(expected)
-    basis = column_space(np.concatenate([columns.reshape(-1, p), held]), np.ones(p))[0]
+    basis = np.linalg.qr(np.concatenate([columns.reshape(-1, p), held]))[0]
     blocks = basis[: m * d].reshape(m, d, -1)
     found = studentised(residual, blocks, np.ones(m, dtype=bool), basis[m * d :].T @ left)
     np.testing.assert_allclose(found, squares, rtol=1e-4)  # 1e-6 is added to each covariance
