@@ -9,7 +9,7 @@ from identification.arm import Arm
 from identification.document import Action, Document, Pictures, Section, Sheet, as_sentence, count_of, number
 from identification.documents import identification as shown
 from identification.documents.pictures import signed_figures, workspace_arrows
-from identification.errors import InputError
+from identification.errors import InputError, require
 from identification.estimation.result import corrected_values, dh_lines
 from identification.files.arm import load_arm
 from identification.files.csv import read_table
@@ -40,8 +40,7 @@ def campaign_document(
     kinds, arms, plans, measurements = dict[str, str](), dict[str, Arm](), dict[str, Plan](), dict[str, Measurements]()
     for path in sorted(paths, key=lambda path: path.suffix.lower() != ".toml"):
         name, ending, first = str(path), path.suffix.lower(), next(iter(arms), None)
-        if name in kinds:
-            raise InputError(f"{name}: is given twice, allowed: each file once")
+        require(name not in kinds, f"{name}: is given twice, allowed: each file once")
         if ending == ".toml":
             arms[name] = arm = load_arm(path, package_dirs)
             if first is not None and not same_drawing(arms[first], arm):

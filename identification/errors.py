@@ -6,7 +6,7 @@ Which of the names that are allowed somebody may have meant: misspelt or shorten
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from difflib import get_close_matches
 from typing import Self
@@ -30,6 +30,13 @@ class InputError(ArmcalError):
         return cls(f"{what} {name!r}, {nearest(name, allowed)}")
 
     @classmethod
+    def check_names(cls, what: str, names: Iterable[str], allowed: Collection[str]) -> None:
+        """Raises the error of `unknown` for the first of the names that is not allowed."""
+        for name in names:
+            if name not in allowed:
+                raise cls.unknown(what, name, allowed)
+
+    @classmethod
     @contextmanager
     def at(cls, place: object, *others: str) -> Iterator[None]:
         """What is raised within is said of this place, unless it begins with it, or with one of others."""
@@ -44,8 +51,8 @@ class JobError(ArmcalError):
     """The input was fine, the job itself could not be done (solver failed, parameters not identifiable)."""
 
 
-def require(condition: bool, message: str) -> None:
-    """Raises `InputError` where the condition does not hold."""
+def require(condition: object, message: str) -> None:
+    """Raises `InputError` where the condition does not hold, or is empty."""
     if not condition:
         raise InputError(message)
 

@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from identification.arm import LARGEST
 from identification.arrays import Array, ByValue, slices
-from identification.errors import InputError
+from identification.errors import InputError, require
 from identification.kinematics.parameters import MAX_LINKS
 
 # what follows from the order of measurement: all, and what only rows that follow each other show
@@ -270,9 +270,8 @@ class Measurements(ByValue):
             if name == "positions" and self.orientations is not None and array.shape[1:] == (3,):
                 array = np.pad(array, ((0, 0), (0, 3)))  # the orientations are as measured
             full = [(m, *(n if size == "n" else size for size in shape)) for shape in shapes]
-            if array.shape not in full:
-                actual = f"shape {array.shape} for {m} postures of {n} joints"
-                raise InputError(f"{place}: {actual}, allowed: {' or '.join(map(str, full))}")
+            actual = f"shape {array.shape} for {m} postures of {n} joints"
+            require(array.shape in full, f"{place}: {actual}, allowed: {' or '.join(map(str, full))}")
             if not (good := test(array)).all():
                 row = int(np.argmin(np.all(good.reshape(m, -1), axis=1)))
                 raise InputError(f"{place}: row {row + 1} has {array[row].tolist()!r}, allowed: {allowed}")

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from identification.arm import Arm, Calibration
-from identification.errors import InputError, nearest
+from identification.errors import InputError, nearest, require
 from identification.estimation import Identification, estimate
 from identification.estimation.doubts import FALL, OTHER_FRAME, worth_freeing
 from identification.estimation.problem import Problem
@@ -153,9 +153,8 @@ def earlier(calibrated: Arm, model: Model, measurements: Measurements) -> Calibr
         why = "the calibration does not say which rows it comes from, as of an earlier version"
         warnings.warn(f"prior: {why}; measurements that are among them would count twice", UserWarning, stacklevel=2)
     share = f"about {100.0 * shared:.0f} % of these rows ({100.0 * of_its:.0f} % of the calibration's own)"
-    if max(shared, of_its) >= MOST:
-        twice = "are among those it was fitted to, which would count twice, allowed: new measurements"
-        raise InputError(f"prior: {share} {twice}")
+    twice = "are among those it was fitted to, which would count twice, allowed: new measurements"
+    require(max(shared, of_its) < MOST, f"prior: {share} {twice}")
     if shared > 0.0:
         warnings.warn(f"prior: {share} are among those it was fitted to, and count twice", UserWarning, stacklevel=2)
     held = {name: value for name, value in model.fixed.items() if name in calibration.parameter_names}

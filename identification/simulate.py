@@ -11,7 +11,7 @@ from identification.arm import Arm, EffectSpec
 from identification.arrays import Array, rows_in_words
 from identification.effects import build_all
 from identification.effects.formulas import Scene
-from identification.errors import InputError
+from identification.errors import InputError, require
 from identification.information import RANK_TOLERANCE
 from identification.kinematics.frames import turned
 from identification.kinematics.parameters import REVOLUTE
@@ -71,9 +71,8 @@ def simulate(
     q = session.postures
     if seated:  # in the nearest target, which the truth has to place, but for the noise; read are the joints alone
         instrument = truth.chain.instrument
-        if not instrument.targets:
-            keys = ", ".join(sorted(instrument.keys))
-            raise InputError(f"instrument: found none of {keys}, allowed: with the places of what is touched")
+        keys = ", ".join(sorted(instrument.keys))
+        require(instrument.targets, f"instrument: found none of {keys}, allowed: with the places of what is touched")
         goals = noise * generator.standard_normal((len(session), instrument.dimension))
         q = led_to_contact(model, q, goals, np.ones(session.links))
         left = np.linalg.norm(model.position(q) - goals, axis=1)

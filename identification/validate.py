@@ -177,8 +177,7 @@ def validate(arm: Arm, measurements: Measurements, refit: str = "base") -> Valid
     Raises `InputError` for an arm without calibration, another `refit`, or `none` where nothing is measured from where
     the arm stands, data of another arm, too few rows.
     """
-    if refit not in shown.DRAWN:
-        raise InputError.unknown("refit: unknown name", refit, shown.DRAWN)
+    InputError.check_names("refit: unknown name", [refit], shown.DRAWN)
     check_calibrated(arm)
     instrument, several = arm.chain.instrument, len(measurements.sessions) > 1
     if refit == "none" and (instrument.own_targets or (several and not instrument.reads_positions)):

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NewType, ParamSpec
 
 from identification.document import Answer, Document, Files
-from identification.errors import InputError
+from identification.errors import InputError, require
 from identification.files.io import read_bytes, read_text, read_toml, write_together
 from identification.running import Progress, Status
 
@@ -80,8 +80,7 @@ def load_sessions(paths: Sequence[Path], arm: Arm) -> Measurements:
 
     real = [os.path.realpath(path) for path in paths]
     for path, target in zip(paths, real, strict=True):
-        if real.count(target) > 1:
-            raise InputError(f"{path}: is given {real.count(target)} times, allowed: each session once")
+        require(real.count(target) <= 1, f"{path}: is given {real.count(target)} times, allowed: each session once")
     read = []
     for path in paths:
         read.append(load_measurements(path, arm))
@@ -149,8 +148,7 @@ def init_files(
     if len(sources) > 1:
         raise InputError(f"{sources[1]}: found with {sources[0]}, allowed: one of them")
     for name, value in (("--base-link", base_link), ("--tip-link", tip_link), ("--package-dir", package_dir)):
-        if value and robot is None:
-            raise InputError(f"{name}: found without --urdf, allowed: with --urdf")
+        require(not value or robot is not None, f"{name}: found without --urdf, allowed: with --urdf")
     if instrument is not None and robot is None and dh is None:
         raise InputError("--instrument: found for a planar arm, allowed: with --dh or --urdf")
     if instrument is not None and instrument not in GUIDES:
@@ -257,8 +255,7 @@ def simulate_files(arm: Path, plan: Path, *, truth: Path, out: Written, force: b
     from identification.simulate import simulate
 
     loaded, true_arm = load_arm(arm), load_arm(truth)
-    if true_arm.links != loaded.links:
-        raise InputError(f"{truth}: {true_arm.links} links, allowed: {loaded.links} as in {arm}")
+    require(true_arm.links == loaded.links, f"{truth}: {true_arm.links} links, allowed: {loaded.links} as in {arm}")
     if true_arm.dimension < loaded.dimension or true_arm.joint_types != loaded.joint_types:
         kinds = [f"{a.chain.kind}, {', '.join(a.joint_types)}" for a in (true_arm, loaded)]
         raise InputError(f"{truth}: found an arm that is {kinds[0]}, allowed: {kinds[1]} as in {arm}")
@@ -355,8 +352,7 @@ def identify_files(
         else:
             why = f"because of {refused}, although {meant}: what the plan promises is of a fit with it"
             lines.append(f"Not fitted with the prior of the library, {why}.")
-    if missing is not None and not prior:
-        raise InputError("--missing: found without --library-prior, allowed: with --library-prior")
+    require(missing is None or prior, "--missing: found without --library-prior, allowed: with --library-prior")
 
     def library(rows: Measurements) -> LibraryPrior | None:
         return library_prior(with_sessions(bare, rows), rows, missing) if prior else None

@@ -358,8 +358,7 @@ def relax(
     Raises InputError for an unknown solver, too many candidates for it, no feasible candidate; JobError where the
     solver returns no weights.
     """
-    if solver not in (*LARGEST, "column_generation"):
-        raise InputError.unknown("solver: unknown name", solver, (*LARGEST, "column_generation"))
+    InputError.check_names("solver: unknown name", [solver], (*LARGEST, "column_generation"))
     if isinstance(candidates, int | np.integer):
         chosen = grid(problem, int(candidates))
     else:

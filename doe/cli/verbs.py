@@ -636,8 +636,7 @@ def study_files(
             from doe.studies.blind.study import blind_study
 
             offered = {name: spec.reported for name, spec in CELLS.items() if spec.space == (study == "blind-spatial")}
-            if further := [name for name in cells if name not in offered]:
-                raise InputError.unknown(f"--cell: unknown name of the study {study}", further[0], offered)
+            InputError.check_names(f"--cell: unknown name of the study {study}", cells, offered)
             tables = blind_study(cells or [*filter(offered.get, offered)], replications, folder, **how)
             if len(tables["reliability"]):
                 write_together({folder / "reliability.png": reliability_figure(tables["reliability"])}, force=True)

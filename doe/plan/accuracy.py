@@ -157,8 +157,7 @@ def criterion_of(
             raise InputError("criterion: Ds needs a subset (--subset), found none, allowed: one parameter or more")
         return Ds(tuple(parameters.index(word) for word in subset))
     plain: dict[str, Criterion] = {"D": D(), "A": A(), "E": E(), "Dstar": DStar.by_unit(parameters.units)}
-    if name not in plain:
-        raise InputError.unknown("criterion: unknown name", name, NAMES)
+    InputError.check_names("criterion: unknown name", [name], NAMES)
     return plain[name]
 
 

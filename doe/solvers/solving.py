@@ -112,8 +112,7 @@ def solve(
     if not isinstance(problem, DesignProblem):
         raise InputError(f"problem: found {type(problem).__name__}, allowed: a DesignProblem, as DesignProblem.of(arm)")
     if isinstance(solver, str):
-        if solver not in available_solvers():
-            raise InputError.unknown("solver: unknown name", solver, available_solvers())
+        InputError.check_names("solver: unknown name", [solver], available_solvers())
         solver = available_solvers()[solver]
     chosen = SOLVERS["exchange"] if solver is None else solver
     if problem.choices is not None and not isinstance(chosen, Exchange):

@@ -58,12 +58,9 @@ def compare(
     """
     for arm in arms:
         arm.chain.refuse_contacts()
-    for solver in solvers:
-        if isinstance(solver, str) and solver not in available_solvers():
-            raise InputError.unknown("solvers: unknown name", solver, available_solvers())
-    for name in criteria:
-        if name not in CRITERIA:
-            raise InputError.unknown("criterion: compare does not offer", name, CRITERIA)
+    named = [solver for solver in solvers if isinstance(solver, str)]
+    InputError.check_names("solvers: unknown name", named, available_solvers())
+    InputError.check_names("criterion: compare does not offer", criteria, CRITERIA)
     if not 0.0 < seconds < np.inf:  # it is part of every key, in JSON
         raise InputError(f"seconds: found {seconds}, allowed: a finite number > 0")
     by_name = {solver if isinstance(solver, str) else solver.name: solver for solver in solvers}

@@ -49,8 +49,7 @@ payload_kg = 0.0  # at the tip"""  # block of an arm file, for three links
 def library() -> Mapping[str, type[Effect]]:
     """Name -> class of every registered effect, those of installed packages and the user's own included."""
     for _, where, effect in additions("armcal.effects"):
-        if not (isinstance(effect, type) and issubclass(effect, Effect)):
-            raise InputError(f"{where}, allowed: a class under Effect")
+        require(isinstance(effect, type) and issubclass(effect, Effect), f"{where}, allowed: a class under Effect")
         register(effect)
     return MappingProxyType(_LIBRARY)
 
@@ -112,9 +111,7 @@ def build(spec: EffectSpec, chain: KinematicChain, tagged: bool = False) -> Effe
         raise InputError(f"effects: {spec.key} {fault}, allowed: one for joint_error_curve, none for others")
     effect.curve, effect.fixed = spec.curve, spec.values
     names = {p.short for p in effect.parameters} | set(cls.settings)
-    for short in spec.values:
-        if short not in names:
-            raise InputError.unknown(f"effects: {spec.key} has no parameter", short, names)
+    InputError.check_names(f"effects: {spec.key} has no parameter", spec.values, names)
     return effect
 
 

@@ -59,8 +59,7 @@ class Prior(ByValue):
         of_earlier = dict(zip(self.earlier.parameter_names, variances, strict=True))
         for what, named in (("variance", of_earlier), ("standard deviation", self.deviations)):
             for name, value in named.items():
-                if not 0.0 < value < np.inf:
-                    raise InputError(f"prior: {name} has {what} {value:g}, allowed: a finite number > 0")
+                require(0.0 < value < np.inf, f"prior: {name} has {what} {value:g}, allowed: a finite number > 0")
         independent = {name: deviation for name, deviation in self.deviations.items() if name not in of_earlier}
         object.__setattr__(self, "deviations", MappingProxyType(independent))
 
@@ -130,10 +129,9 @@ def check_measurements(model: Model, measurements: Measurements, prior: Prior = 
         ):
             require(has or need not in effect.needs, f"effects: {effect.key} needs {what}")
     p -= len({*model.prior, *prior.names} & set(model.names))
-    if d * m < p:
-        counted = f"{d} m = {d * m} < p = {p}"
-        file = measurements.provenance.get("file", "measurements")
-        raise InputError(f"{file}: fewer equations than unknowns: {counted}, allowed: m >= {-(-p // d)}")
+    counted = f"{d} m = {d * m} < p = {p}"
+    file = measurements.provenance.get("file", "measurements")
+    require(d * m >= p, f"{file}: fewer equations than unknowns: {counted}, allowed: m >= {-(-p // d)}")
 
 
 def check_shape(model: Model, measurements: Measurements) -> None:
@@ -188,9 +186,8 @@ class Problem:
         require(reliance in (None, *RELIANCE), f"sigma: {sigma!r}, {allowed}")
         stated = next((s for s in (numbers, data.sigma, model.sigma) if s is not None), None)
         rows = data.postures, data.conditions, data.positions[None] if positions is None else positions
-        if stated is None and reliance == "given":
-            allowed = "measurement.sigma_mm in the arm file, or a column sigma_mm in the measurements"
-            raise InputError(f"sigma: 'given', but none is given, allowed: {allowed}")
+        allowed = "measurement.sigma_mm in the arm file, or a column sigma_mm in the measurements"
+        require(stated is not None or reliance != "given", f"sigma: 'given', but none is given, allowed: {allowed}")
         if stated is None or reliance == "estimated":
             return cls(model, *rows, relative, None, reliance, prior=prior)
         deviations = np.asarray(stated, dtype=float)

@@ -22,7 +22,7 @@ from pydantic import BaseModel
 
 from identification.arm import Arm, Calibration, EffectSpec, ErrorCurve, Gravity, Machining, check_limits
 from identification.arrays import Array
-from identification.errors import InputError, nearest
+from identification.errors import InputError, nearest, require
 from identification.files.bodies import Shape, ShapedBodies, pairs_apart
 from identification.files.io import PathLike, named_file, read_toml
 from identification.files.schema import CURVE, CalibrationTable, EffectTable, PoseTable, validated, validated_arm
@@ -60,8 +60,7 @@ def load_arm(path: PathLike | Mapping[str, Any], package_dirs: Sequence[PathLike
         return arm_from_tables(dict(path))
     tables = read_toml(path)
     for folder in package_dirs:
-        if not Path(folder).is_dir():
-            raise InputError(f"--package-dir: {folder} is not a folder, allowed: an existing one with meshes")
+        require(Path(folder).is_dir(), f"--package-dir: {folder} is not a folder, allowed: an existing one with meshes")
     with InputError.at(path):
         arm = arm_from_tables(tables, Path(path).parent, package_dirs)
     if 0.0 < arm.reach < 10.0:
@@ -205,8 +204,7 @@ def _cell(
         apart |= {frozenset((f"link {j}", f"link {j + 1}")) for j in range(1, len(chain))}
     for k, table in enumerate(cell.bodies, start=1):
         joint, name = table.joint or 0, table.name or f"{table.kind} {k}"
-        if joint > len(chain):
-            raise InputError(f"cell.bodies[{k}].joint: found {joint}, allowed: 1 to {len(chain)}, or left out")
+        require(joint <= len(chain), f"cell.bodies[{k}].joint: found {joint}, allowed: 1 to {len(chain)}, or left out")
         if other := [at for body, at, _ in shapes if body == name and at != joint]:
             raise InputError(f"cell.bodies[{k}].joint: found {joint} for another part of {name!r}, allowed: {other[0]}")
         if table.kind in ("capsule", "cylinder", "sphere"):
@@ -225,8 +223,7 @@ def _cell(
             text = urdf.text
             apart |= urdf.neighbours()
     names = {Cell.FLOOR, Cell.SIGHT, *(urdf.links if urdf else ()), *(name for name, _, _ in shapes)}
-    for name in (name for pair in cell.apart for name in pair if name not in names):
-        raise InputError.unknown("cell.apart: unknown body", name, names)
+    InputError.check_names("cell.apart: unknown body", (name for pair in cell.apart for name in pair), names)
     if not ("cell" in file.model_fields_set or text or shapes):
         return None
     if cell.srdf is not None:
@@ -253,8 +250,7 @@ def _named(
     """The parameters of these names, in files or in the API. Raises `InputError` for another."""
     every = [*geometry, *(p for _, effect in effects for p in effect.parameters)]
     names = {p.file_name if in_file else p.name: p for p in every}
-    for key in (key for key in keys if key not in names):
-        raise InputError.unknown(f"{place}: unknown parameter", key, names)
+    InputError.check_names(f"{place}: unknown parameter", keys, names)
     return [names[key] for key in keys]
 
 
@@ -289,17 +285,15 @@ def _effects(tables: Sequence[EffectTable], chain: KinematicChain, heavy: bool) 
                 hint = nearest(key, ["name", "joint", *parameters, *spec.values])
                 raise InputError(f"effects[{k}].{key}: unknown key of {table.name}, {hint}")
             low, high = parameter.lower * parameter.to_file, parameter.upper * parameter.to_file
-            if not low <= value <= high:
-                allowed = f">= {low:g}" if math.isinf(high) else f"{low:g} to {high:g}"
-                raise InputError(f"effects[{k}].{key}: found {value:g}, allowed: a number {allowed}")
+            allowed = f">= {low:g}" if math.isinf(high) else f"{low:g} to {high:g}"
+            require(low <= value <= high, f"effects[{k}].{key}: found {value:g}, allowed: a number {allowed}")
             values[parameter.short] = value / parameter.to_file
         for wrong, sentence in (
             (effect.of_positions and instrument.kind, f"is of measured positions, found {state}, allowed: without it"),
             ("distance" in lacking, f"needs measured distances, found {state}, allowed: kind distance"),
             ("gravity" in lacking and not heavy, "needs gravity torques, found no [gravity], allowed: one"),
         ):
-            if wrong:
-                raise InputError(f"effects: {spec.key} {sentence}")
+            require(not wrong, f"effects: {spec.key} {sentence}")
         curve = spec.curve
         if curve is not None and table.geometry:  # that was fitted with it
             geometry = _fitted_with(table.geometry, chain)
@@ -319,9 +313,8 @@ def _calibration(
             _require_count(f"calibration.{key}", values, len(chain))
             given |= {f"{kind}:{j}": value for j, value in enumerate(values, start=1)}
     for j, (length, error) in enumerate(zip(chain.lengths, table.length_errors_mm or (), strict=False), start=1):
-        if length + error <= 0.0:
-            state = f"found {error:g} for link {j} of {length:g} mm"
-            raise InputError(f"calibration.length_errors_mm: {state}, allowed: more than {-length:g}")
+        state = f"found {error:g} for link {j} of {length:g} mm"
+        require(length + error > 0.0, f"calibration.length_errors_mm: {state}, allowed: more than {-length:g}")
     if table.tools:  # which the file has where they are not known
         chain = replace(chain, tools=_tools(table.tools))
     base, tools = None if table.base is None else _pose(table.base), chain.tools if table.tools else {}

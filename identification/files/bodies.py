@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from identification.arrays import SHOWN, Array, ByValue
-from identification.errors import InputError
+from identification.errors import InputError, require
 from identification.files.io import PathLike, decode, read_bytes
 from identification.files.urdf import METER, Urdf, read_urdf, xml_root
 from identification.kinematics.frames import pose, rotation_to_z
@@ -78,10 +78,8 @@ def read_mesh(path: PathLike) -> Array:
         triangles = READERS[suffix](read_bytes(path))
     except (ValueError, IndexError):
         raise InputError(f"{path}: a damaged mesh, {allowed}") from None
-    if not len(triangles):
-        raise InputError(f"{path}: a mesh without triangles, {allowed}")
-    if not np.all(np.isfinite(triangles)):
-        raise InputError(f"{path}: a mesh with corners that are not finite numbers, {allowed}")
+    require(len(triangles), f"{path}: a mesh without triangles, {allowed}")
+    require(np.all(np.isfinite(triangles)), f"{path}: a mesh with corners that are not finite numbers, {allowed}")
     return triangles
 
 

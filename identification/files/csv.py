@@ -15,7 +15,7 @@ import polars as pl
 from numpy.typing import NDArray
 
 from identification.arrays import Array
-from identification.errors import InputError, close_names, suggestion
+from identification.errors import InputError, close_names, require, suggestion
 from identification.files.io import PathLike, decode, read_bytes
 
 # columns that mean something by themselves: none of them is a misspelling of another
@@ -134,9 +134,8 @@ def read_table(path: PathLike, *, vias: bool = False) -> Table:
         text, above = text[comment.end() :], above + 1
         if asked := re.match(r"#\s*fit\s*:\s*(.*)", comment[0].strip('"\n,;\t ')):
             fit = " ".join(asked[1].split())
-            if not FITS.fullmatch(fit):
-                allowed = "library-prior, or library-prior --missing NAMES"
-                raise InputError(f"{path}: line {above}: fit {fit!r}, allowed: {allowed}")
+            allowed = "library-prior, or library-prior --missing NAMES"
+            require(FITS.fullmatch(fit), f"{path}: line {above}: fit {fit!r}, allowed: {allowed}")
     first = text.partition("\n")[0]
     separator = next((s for s in ("\t", ";") if s in first and "," not in first), ",")
     reader = csv.reader(io.StringIO(text), delimiter=separator, strict=True)
@@ -155,8 +154,7 @@ def read_table(path: PathLike, *, vias: bool = False) -> Table:
         row = f"row {len(rows)} (from line {lines[-1] + 1 if lines else above + 1})"
         allowed = "cells without quotation marks, or in a pair of them"
         raise InputError(f"{path}: {row}: {error}, allowed: {allowed}") from None
-    if not rows:
-        raise InputError(f"{path}: there is no header, allowed: the names of the columns")
+    require(rows, f"{path}: there is no header, allowed: the names of the columns")
     header, columns = [name.strip() for name in rows[0]], dict[str, Sequence[str]]()
     for k, (name, column) in enumerate(zip(header, zip(*rows[1:], strict=True), strict=False), start=1):
         if name:
@@ -166,10 +164,8 @@ def read_table(path: PathLike, *, vias: bool = False) -> Table:
     for name in filter(None, header):
         if re.fullmatch(r"[-+]?[\d.]+([eE][-+]?\d+)?", name):
             raise InputError(f"{path}: line {lines[0]} has the number {name!r}, allowed: the names of the columns")
-        if header.count(name) > 1:
-            raise InputError(f"{path}: column {name!r} is there {header.count(name)} times, allowed: once")
-    if not columns:
-        raise InputError(f"{path}: there are no rows, allowed: at least 1 row")
+        require(header.count(name) <= 1, f"{path}: column {name!r} is there {header.count(name)} times, allowed: once")
+    require(columns, f"{path}: there are no rows, allowed: at least 1 row")
     frame = pl.DataFrame(columns, schema=dict.fromkeys(columns, pl.String))
     frame = frame.with_columns(pl.all().str.strip_chars().replace("", None))
     if separator != ",":
@@ -178,8 +174,7 @@ def read_table(path: PathLike, *, vias: bool = False) -> Table:
     kind = frame["kind"].fill_null("").to_numpy() if "kind" in table else np.array([""])
     if (is_via := kind == VIA).any():
         table.require_good(np.isin(kind, (MEASURE, VIA)), "kind", f"{MEASURE} or {VIA}")
-        if is_via.all():
-            raise InputError(f"{path}: column kind: found only {VIA}, allowed: at least 1 row {MEASURE}")
+        require(not is_via.all(), f"{path}: column kind: found only {VIA}, allowed: at least 1 row {MEASURE}")
     if not np.isin(kind, (MEASURE, VIA)).all():  # a column of somebody else
         return table
     rows = ~is_via | vias

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, Union
 
-from identification.errors import InputError
+from identification.errors import InputError, require
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -36,8 +36,7 @@ def read_bytes(path: PathLike) -> bytes:
         raise InputError(f"{path}: cannot be read ({error.strerror}), allowed: a readable file") from None
     except ValueError:  # a null character
         raise InputError(f"{path}: is not a file name, allowed: the name of an existing file") from None
-    if not content.strip():
-        raise InputError(f"{path}: the file is empty, allowed: a file with content")
+    require(content.strip(), f"{path}: the file is empty, allowed: a file with content")
     return content
 
 
@@ -72,8 +71,7 @@ def named_file(folder: PathLike, name: str, key: str, whose: str) -> Path:
         inside = Path(os.path.realpath(path)).is_relative_to(os.path.realpath(folder))
     except ValueError:  # a null character
         inside = False
-    if not inside:
-        raise InputError(f"{key}: {name!r} is outside the folder of {whose}, allowed: a file beside it or below")
+    require(inside, f"{key}: {name!r} is outside the folder of {whose}, allowed: a file beside it or below")
     return path
 
 
@@ -99,8 +97,7 @@ def write_together(contents: Mapping[AnyPath, Content], force: bool = False) -> 
             if target.exists():
                 new.chmod(target.stat().st_mode & 0o777)
         for target in staged:
-            if target.exists() and not force:  # another command has written it meanwhile
-                raise InputError(f"{target}: {EXISTS}")
+            require(not target.exists() or force, f"{target}: {EXISTS}")  # another command has written it meanwhile
         for target, new in staged.items():
             os.replace(new, target)
     except OSError as error:
@@ -130,6 +127,5 @@ def check_writable(path: PathLike, force: bool = False, *, picture: bool = False
         (os.path.exists(target) and not force, EXISTS),
         (picture and ending.lower() not in PICTURES, f"ending {ending!r}, allowed: {', '.join(PICTURES)}"),
     ):
-        if wrong:
-            raise InputError(f"{path}: {sentence}")
+        require(not wrong, f"{path}: {sentence}")
     return target

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from identification.arm import LARGEST, LARGEST_ANGLE, LENGTH_RANGE, MAX_LINKS, SIGMA_RANGE, Arm
 from identification.arrays import Array, ByValue, readonly
 from identification.document import Sheet, html
-from identification.errors import InputError
+from identification.errors import InputError, require
 from identification.files.csv import MEASURE, VIA, Table, csv_text, read_table
 from identification.files.io import PathLike
 from identification.instruments import TRACKER
@@ -203,9 +203,8 @@ def read_orientations(table: Table) -> Array | None:
     `_rad`) or from a quaternion `qw, qx, qy, qz`; None if the table has none of these columns."""
     columns = [*filter(ORIENTATION.fullmatch, table.frame.columns)]
     kinds = {column[2:] for column in columns}  # `_deg`, or nothing of a quaternion
-    if len(kinds) > 1:
-        state = f"found {', '.join(columns)}"
-        raise InputError(f"{table.path}: {state}, allowed: three angles of one unit, or a quaternion")
+    state = f"found {', '.join(columns)}"
+    require(len(kinds) <= 1, f"{table.path}: {state}, allowed: three angles of one unit, or a quaternion")
     if not columns:
         return None
     if unit := kinds.pop():

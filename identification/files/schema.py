@@ -19,7 +19,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 from pydantic_core import PydanticCustomError
 
 from identification.arm import LARGEST, LARGEST_ANGLE, LENGTH_RANGE, MAX_LINKS, SIGMA_RANGE
-from identification.errors import InputError, close_names, nearest, suggestion
+from identification.errors import InputError, close_names, nearest, require, suggestion
 from identification.instruments import KINDS
 from identification.workspace import CLEARANCE
 
@@ -392,8 +392,7 @@ def validated_arm(tables: Mapping[str, Any], place: str = "") -> Any:
     """The tables of an arm file. Raises `InputError` naming key, what was found and what is allowed;  place : before
     the key in messages"""
     kind = tables.get("kind", "planar")
-    if not isinstance(kind, str) or kind not in AXES:
-        raise InputError(f"{place}kind: found {kind!r}, allowed: {' or '.join(AXES)}")
+    require(isinstance(kind, str) and kind in AXES, f"{place}kind: found {kind!r}, allowed: {' or '.join(AXES)}")
     return validated(ArmFile, tables, place, kind)
 
 

@@ -16,7 +16,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from identification.arrays import Array
-from identification.errors import InputError, printable
+from identification.errors import InputError, printable, require
 from identification.files.io import PathLike, read_text
 from identification.kinematics.chain import Joint, KinematicChain
 from identification.kinematics.frames import from_roll_pitch_yaw, pose, roll_pitch_yaw
@@ -62,9 +62,8 @@ class Urdf:
     # -- chains ----------------------------------------------------------------------------------------------------
     def joints(self, base: str, tip: str) -> list[UrdfJoint]:
         """Those from a base link to a tip link. Raises `InputError` where there is no such way."""
-        for link in (base, tip, *(end for joint in self.by_child.values() for end in (joint.parent, joint.child))):
-            if link not in self.links:
-                raise InputError.unknown(f"{self.path}: there is no link", link, self.links)
+        ends = (end for joint in self.by_child.values() for end in (joint.parent, joint.child))
+        InputError.check_names(f"{self.path}: there is no link", (base, tip, *ends), self.links)
         joints, link = list[UrdfJoint](), tip
         while link != base:
             if link not in self.by_child or len(joints) > len(self.by_child):
@@ -91,19 +90,16 @@ class Urdf:
                 (not np.any(axis), ": axis 0 0 0, allowed: a direction"),
                 (not free and not bounded, f": limit, lower or upper is missing, allowed: both for a {kind} joint"),
             ):
-                if wrong:
-                    raise InputError(f"{self.path}: joint {name!r}{sentence}")
+                require(not wrong, f"{self.path}: joint {name!r}{sentence}")
             lower, upper = -np.pi, np.pi
             if not free:
                 ends = (self.numbers(limit, f"joint {name!r}: limit", end, None, 1) for end in ("lower", "upper"))
                 lower, upper = np.concatenate([*ends]) * (METER if kind == "prismatic" else 1.0)
-                if lower >= upper:
-                    limits = f"limits {lower:g} to {upper:g}, allowed: lower < upper"
-                    raise InputError(f"{self.path}: joint {name!r}: {limits}")
+                limits = f"limits {lower:g} to {upper:g}, allowed: lower < upper"
+                require(lower < upper, f"{self.path}: joint {name!r}: {limits}")
             joints.append(Joint(name, before, axis, MOVING[kind], float(lower), float(upper)))
             before = np.eye(4)
-        if not joints:
-            raise InputError(f"{self.path}: no joint moves between {base!r} and {tip!r}, allowed: at least one")
+        require(joints, f"{self.path}: no joint moves between {base!r} and {tip!r}, allowed: at least one")
         return KinematicChain(tuple(joints), before)
 
     def with_origins(self, base: str, tip: str, origins: Sequence[Array]) -> str:
@@ -210,11 +206,9 @@ def read_urdf(path: PathLike, text: str = "") -> Urdf:
     equal names, links with two parents."""
     text = text or read_text(path)
     root = xml_root(text, path, "a URDF file")
-    if root.tag != "robot":
-        raise InputError(f"{path}: the root element is <{root.tag}>, allowed: <robot>")
+    require(root.tag == "robot", f"{path}: the root element is <{root.tag}>, allowed: <robot>")
     named = {what: [(str(each.get("name")), each) for each in root.findall(what)] for what in ("joint", "link")}
-    if not named["link"]:
-        raise InputError(f"{path}: there is no <link>, allowed: at least 1")
+    require(named["link"], f"{path}: there is no <link>, allowed: at least 1")
     by_child = dict[str, UrdfJoint]()
     for name, element in named["joint"]:
         parts = {tag: element.find(tag) for tag in ("parent", "child")}
@@ -222,13 +216,11 @@ def read_urdf(path: PathLike, text: str = "") -> Urdf:
         for tag in (tag for tag in ("child", "parent") if ends[tag] is None):
             raise InputError(f"{path}: joint {name!r} has no {tag} link, allowed: one")
         joint = UrdfJoint(name, str(element.get("type")), str(ends["parent"]), str(ends["child"]), element)
-        if joint.child in by_child:
-            raise InputError(f"{path}: link {joint.child!r} hangs on two joints, allowed: one")
+        require(joint.child not in by_child, f"{path}: link {joint.child!r} hangs on two joints, allowed: one")
         by_child[joint.child] = joint
     for what, each in named.items():
         for name, times in Counter(name for name, _ in each).items():
-            if times > 1:
-                raise InputError(f"{path}: {what} {name!r} is there {times} times, allowed: once")
+            require(times <= 1, f"{path}: {what} {name!r} is there {times} times, allowed: once")
     return Urdf(str(path), text, root, dict(named["link"]), by_child)
 
 

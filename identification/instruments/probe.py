@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from identification.arrays import Array
-from identification.errors import InputError
+from identification.errors import require
 from identification.instruments.base import PLACE, Instrument, Placement, Unplaced, register_instrument
 from identification.instruments.distance import Distance
 from identification.kinematics.frames import from_angles, pose, rotation_about
@@ -33,8 +33,7 @@ class Sphere(Distance):
 
     @classmethod
     def of_table(cls, table: Mapping[str, Any]) -> Sphere:
-        if "radius_mm" not in table:
-            raise InputError("instrument.radius_mm: is missing, allowed: of ball and stylus tip together [mm]")
+        require("radius_mm" in table, "instrument.radius_mm: is missing, allowed: of ball and stylus tip together [mm]")
         return cls(table["radius_mm"])
 
 

@@ -151,9 +151,8 @@ class KinematicChain(ByValue):
 
     def refuse_contacts(self) -> None:
         """Raises `InputError` where a probe touches a surface and postures have to be free."""
-        if self.instrument.contact:
-            reason = f"kind {self.instrument.kind}: where it is touched follows from the arm"
-            raise InputError(f"instrument: found {reason}, allowed here: distance, or no [instrument]")
+        reason = f"kind {self.instrument.kind}: where it is touched follows from the arm"
+        require(not self.instrument.contact, f"instrument: found {reason}, allowed here: distance, or no [instrument]")
 
     dimension = property(lambda self: len(self.axes))  # d, coordinates of a position: 3 in space, 2 in the plane
     angle_scale = property(attrgetter("instrument.angle_scale"))  # [mm/rad], `Tracker`
@@ -400,8 +399,7 @@ class PlanarChain(KinematicChain):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.angle_scale is not None:
-            raise InputError("orientations: found for a planar arm, allowed: for a spatial one")
+        require(self.angle_scale is None, "orientations: found for a planar arm, allowed: for a spatial one")
 
     redundant = property(lambda self: False)
     # what no reading shows, too

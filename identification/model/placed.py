@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.arrays import Array
 from identification.effects import library
-from identification.errors import InputError
+from identification.errors import InputError, require
 from identification.instruments import KINDS, TRACKER, Tracker, Unplaced
 from identification.instruments.base import AtTargets, registered
 from identification.kinematics.chain import (
@@ -230,9 +230,8 @@ def with_markers(chain: KinematicChain, measurements: Measurements) -> Kinematic
         chain = replace(chain, instrument=TRACKER)
     names, tools = () if chain.instrument.own_targets else measurements.marker_names, chain.tools
     if not names:
-        if len(tools) > 1:
-            missing = "no column marker, and the arm has several measured points"
-            raise InputError(f"measurements: {missing}, allowed: one of {', '.join(tools)} in each row")
+        missing = "no column marker, and the arm has several measured points"
+        require(len(tools) <= 1, f"measurements: {missing}, allowed: one of {', '.join(tools)} in each row")
         return chain
     if tuple(tools)[: len(names)] == names:
         return chain
@@ -240,9 +239,7 @@ def with_markers(chain: KinematicChain, measurements: Measurements) -> Kinematic
         return replace(chain, tools=dict(zip(names, tools.values(), strict=True)))
     if TOOL not in chain.settled:
         return replace(chain, tools={name: tools.get(name, np.eye(4)) for name in names})
-    for name in names:
-        if name not in tools:
-            raise InputError.unknown("measurements.marker: unknown name", name, tools)
+    InputError.check_names("measurements.marker: unknown name", names, tools)
     return replace(chain, tools={name: tools[name] for name in dict.fromkeys((*names, *tools))})
 
 

@@ -68,9 +68,8 @@ def blind_study(
     Raises `InputError` for an unknown cell.
     """
     keys: list[Key] = []
+    InputError.check_names("cell: unknown name", cells, CELLS)
     for cell in cells:
-        if cell not in CELLS:
-            raise InputError.unknown("cell: unknown name", cell, CELLS)
         total = count or CELLS[cell].sets
         keys += [
             {"cell": cell, "first": first, "sets": min(BATCH, total - first), "seed": seed}
