@@ -41,6 +41,7 @@ from identification.model.placed import placed_model, placing
 from identification.running import Status, single_thread
 
 
+@single_thread()
 def estimate(
     model: Model,
     measurements: Measurements,
@@ -66,38 +67,30 @@ def estimate(
     Raises `InputError` for data that do not fit the model, `JobError` if that fails.
     """
     check_measurements(model, measurements, prior)
-    if prior.names or model.prior:
-        return _with_prior(model, measurements, prior, sigma)
-    placed = placed_model(model, measurements)
-    problem = Problem.of(placed, measurements, sigma)
-    useful = RANK_TOLERANCE
-    while True:
-        if (form := problem.exact_form) is None:
-            solution = problem.minimized(starts(problem))
-        else:
-            x, squares = form.solver(problem.postures, problem.weights, problem.tolerance)(problem.positions)
-            solution = Solution(x, squares, outcomes(np.isfinite(squares), Status.converged, Status.solver_failed))
-        if (status := solution.status[0]) is Status.solver_failed:
-            raise JobError(f"{problem.method}: {status.value}")
-        rows = WhiteRows.of(problem, measurements, solution.parameters[0])
-        if useful > RANK_TOLERANCE:
-            break
-        # once more without the combinations whose standard deviation turns out too large to mean anything: above a
-        # tenth of the arm's reach
-        deviation = problem.sigma or (float(np.sqrt(rows.squares / rows.freedom)) if rows.freedom > 0 else 0.0)
-        useful = min(max(RANK_TOLERANCE, deviation / (np.sqrt(len(measurements)) * 0.1 * placed.reach)), 0.1)
-        if rows.decomposed.truncated(useful).rank == rows.rank:
-            break
-        problem = replace(problem, tolerance=useful)
-    return _identification(problem, measurements, solution, rows)
-
-
-@single_thread()
-def _with_prior(
-    model: Model, measurements: Measurements, prior: Prior, sigma: ArrayLike | Literal["given", "estimated"] | None
-) -> Identification:
-    """Noise and sizes of the prior as they are likeliest at the solution, and the solution with these, in turns until
-    the noise stays."""
+    if not (prior.names or model.prior):
+        problem, useful = Problem.of(placed_model(model, measurements), measurements, sigma), RANK_TOLERANCE
+        while True:
+            if (form := problem.exact_form) is None:
+                solution = problem.minimized(starts(problem))
+            else:
+                x, squares = form.solver(problem.postures, problem.weights, problem.tolerance)(problem.positions)
+                solution = Solution(x, squares, outcomes(np.isfinite(squares), Status.converged, Status.solver_failed))
+            if (status := solution.status[0]) is Status.solver_failed:
+                raise JobError(f"{problem.method}: {status.value}")
+            rows = WhiteRows.of(problem, measurements, solution.parameters[0])
+            if useful > RANK_TOLERANCE:
+                break
+            # once more without the combinations whose standard deviation turns out too large to mean anything: above a
+            # tenth of the arm's reach
+            deviation = problem.sigma or (float(np.sqrt(rows.squares / rows.freedom)) if rows.freedom > 0 else 0.0)
+            uncertain = deviation / np.sqrt(len(measurements))
+            useful = float(np.clip(uncertain / (0.1 * problem.model.reach), RANK_TOLERANCE, 0.1))
+            if rows.decomposed.truncated(useful).rank == rows.rank:
+                break
+            problem = replace(problem, tolerance=useful)
+        return _identification(problem, measurements, solution, rows)
+    # noise and sizes of the prior as they are likeliest at the solution, and the solution with these, in turns until
+    # the noise stays
     model, zeros = placed_with_zeros(model, measurements)
     prior = replace(prior, deviations={**model.prior, **prior.deviations})
     check_measurements(model, measurements, prior)
