@@ -276,43 +276,32 @@ def expected_tip(model: Model, parameters: Array, covariance: Array, postures: A
     return float(np.sqrt(max(total, 0.0) / len(postures)))  # below zero by rounding, where data have no noise
 
 
-def tip_of(fit: Identification, *, measured: bool) -> float | None:
-    """`expected_tip` of a fit over the joint limits, whatever they are, or over further postures like those measured
-    [mm], with the error of its own that the prior says each posture has; None where something is not identifiable,
-    without deviations, and of other models than an arm's.
+def tips_of(fit: Identification) -> tuple[float, float] | None:
+    """`expected_tip` of a fit [mm] over the joint limits, whatever they are, and over further postures like those
+    measured; None where something is not identifiable, without deviations, and of other models than an arm's.
 
     Real postures fill no box of joint angles. What the fit is uncertain by at its own postures is less than at others
     drawn as they were, by `inside`; and in the box of the angles measured it is hardly less, whatever few rows say.
     """
-    arm, postures = getattr(fit.model, "arm", None), fit.postures
-    if not isinstance(arm, Arm) or fit.not_identifiable or not np.all(np.isfinite(fit.covariance)):
+    arm, postures, covariance = fit.arm, fit.postures, fit.covariance
+    if arm is None or fit.not_identifiable or not np.all(np.isfinite(covariance)):
         return None
     if not arm.chain.instrument.places and len(postures) < FEWEST:
         return None
-    low, high = (postures.min(axis=0), postures.max(axis=0)) if measured else (arm.lower, arm.upper)
-    anywhere = np.random.default_rng(0).uniform(low, high, (1000, len(low)))
-    tip = expected_tip(fit.model, fit.parameters, fit.covariance, anywhere)
-    if measured:
-        some = postures[:: max(len(postures) // 1000, 1)]
-        tip = min(tip, expected_tip(fit.model, fit.parameters, fit.covariance, some) / np.sqrt(fit.inside))
-    return float(np.hypot(tip, own_error(fit)))
-
-
-def own_error(fit: Identification) -> float:
-    """Root mean square distance [mm] by which a posture's own error moves the tip, as the prior of a fit says."""
-    arm = getattr(fit.model, "arm", None)
-    return 0.0 if arm is None else fit.prior.own_error * float(np.sqrt(arm.dimension))
+    boxes = (arm.lower, arm.upper), (postures.min(axis=0), postures.max(axis=0))
+    drawn = (np.random.default_rng(0).uniform(*box, (1000, arm.links)) for box in boxes)
+    anywhere, in_box = (expected_tip(fit.model, fit.parameters, covariance, some) for some in drawn)
+    at_measured = expected_tip(fit.model, fit.parameters, covariance, postures[:: max(len(postures) // 1000, 1)])
+    return anywhere, min(in_box, at_measured / float(np.sqrt(fit.inside)))
 
 
 def hardly_determined(fit: Identification) -> list[str]:
     """What is doubtful about a fit that leaves the tip uncertain, beyond the noise of one measurement: by over half of
     what the arm was off before, at postures like those measured; or by more than all of it, over the joint limits. Of
     readings that are no lengths nothing is said: both are millimetres."""
-    if fit.expected_tip_measured is None or fit.expected_tip is None or reading_unit(fit.arm) != "mm":
+    if fit.tips is None or reading_unit(fit.arm) != "mm":
         return []
-    tips = np.square([fit.expected_tip_measured, fit.expected_tip])
-    # without the posture's own error, which no further rows help against
-    inside, anywhere = np.sqrt((tips - own_error(fit) ** 2).clip(min=0.0)).tolist()
+    anywhere, inside = fit.tips  # without the posture's own error, which no further rows help against
     arm, equations, places = fit.model.arm, fit.residuals_before.size, placing(fit.model.parameters)
     spare = equations - len(places)
     more = len(places) < len(fit.names) - len(fit.held)  # than its place, which says nothing of the arm

@@ -25,7 +25,7 @@ from identification.arrays import Array, readonly
 from identification.document import Documented
 from identification.documents import identification as shown
 from identification.errors import InputError
-from identification.estimation.doubts import hardly_determined, tip_of
+from identification.estimation.doubts import hardly_determined, tips_of
 from identification.estimation.problem import NO_PRIOR, Contradiction, Prior
 from identification.estimation.uncertainty import LEVEL, Uncertainty, freedom_kept, freedom_of, limits_95, quantile_95
 from identification.information import VISIBLE
@@ -152,9 +152,11 @@ class Identification(Documented):
         return None if self.chi2 is None or self.dof <= 0 else float(np.sqrt(self.chi2 / self.dof))
 
     # how far the tip may be from where this fit computes it [mm], RMS over the joint limits, and over further postures
-    # like those measured; None: not known
-    expected_tip = cached_property(lambda self: tip_of(self, measured=False))
-    expected_tip_measured = cached_property(lambda self: tip_of(self, measured=True))
+    # like those measured; None: not known. With the error of its own that the prior says each posture has, but in tips
+    tips = cached_property(tips_of)
+    own_error = property(lambda self: self.prior.own_error * np.sqrt(self.arm.dimension))
+    expected_tip = property(lambda self: self.tips and float(np.hypot(self.tips[0], self.own_error)))
+    expected_tip_measured = property(lambda self: self.tips and float(np.hypot(self.tips[1], self.own_error)))
 
     @property
     def misfit(self) -> str | None:
