@@ -110,11 +110,11 @@ def estimate(
         wide = {name: deviation * factors.get(name, widths[2]) for name, deviation in prior.deviations.items()}
         widened = replace(prior, deviations=wide, own_error=widths[2] * prior.own_error)
         posed = replace(problem, noise=noise, prior=widened)
-        rows, center = posed.prior_rows, posed.prior_center
+        held, center = posed.prior_rows, posed.prior_center
 
-        def linearize(x: Array, _: Index, rows: Array = rows, center: Array = center) -> tuple[Array, Array]:
-            (residual, jacobian), left = about(x[0].tobytes()), rows @ (center - x[0])
-            return np.concatenate([residual, left])[None], np.concatenate([jacobian, rows])[None]
+        def linearize(x: Array, _: Index, held: Array = held, center: Array = center) -> tuple[Array, Array]:
+            (residual, jacobian), left = about(x[0].tobytes()), held @ (center - x[0])
+            return np.concatenate([residual, left])[None], np.concatenate([jacobian, held])[None]
 
         solution = posed.minimized(x[None], linearize, ITERATIONS if turn or is_given else 2)
         x, change, before = solution.parameters[0], abs(noise - before), noise

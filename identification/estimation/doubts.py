@@ -289,7 +289,7 @@ def tips_of(fit: Identification) -> tuple[float, float] | None:
     if not arm.chain.instrument.places and len(postures) < FEWEST:
         return None
     boxes = (arm.lower, arm.upper), (postures.min(axis=0), postures.max(axis=0))
-    drawn = (np.random.default_rng(0).uniform(*box, (1000, arm.links)) for box in boxes)
+    drawn = (np.random.default_rng(0).uniform(low, high, (1000, arm.links)) for low, high in boxes)
     anywhere, in_box = (expected_tip(fit.model, fit.parameters, covariance, some) for some in drawn)
     at_measured = expected_tip(fit.model, fit.parameters, covariance, postures[:: max(len(postures) // 1000, 1)])
     return anywhere, min(in_box, at_measured / float(np.sqrt(fit.inside)))
