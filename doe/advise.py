@@ -22,7 +22,7 @@ from doe.plan.spacing import with_additions
 from doe.problem.model import NEEDS_SIGMA
 from doe.problem.problem import DesignProblem
 from doe.solvers import solve
-from identification import Arm, Array, InputError, Progress, Status
+from identification import Arm, Array, InputError, Progress, Status, require
 
 
 @dataclass(frozen=True)
@@ -116,8 +116,7 @@ def advise(
     fewest, sigma = problem.fewest_runs, problem.model.sigma
     if not runs or min(runs) < fewest:
         raise InputError(f"runs: {min(runs, default=None)}, allowed: >= {fewest} ({problem.parameters} unknowns)")
-    if target is not None and sigma is None:
-        raise InputError(f"--target-mm {NEEDS_SIGMA}")
+    require(target is None or sigma is not None, f"--target-mm {NEEDS_SIGMA}")
     if target is not None and not (np.isfinite(target) and target > 0.0):
         raise InputError(f"--target-mm: found {target:g}, allowed: > 0")
     began, budget = perf_counter(), np.inf if seconds is None else seconds

@@ -30,7 +30,7 @@ import numpy as np
 import polars as pl
 
 from doe import SINGLE_THREAD
-from identification import InputError, JobError, Progress
+from identification import InputError, JobError, Progress, require
 from identification.files.io import check_writable, write_together
 
 Key = Mapping[str, Any]  # JSON types only; says everything that the rows depend on
@@ -126,8 +126,7 @@ def run_tasks(
     if path is not None:
         check_writable(path if os.path.isdir(path.parent) else path.parent, force=True)
     if path is not None and path.exists():
-        if not (resume or force):
-            raise InputError(f"{path}: exists, allowed: a new name, --resume to go on, or --force to replace it")
+        require(resume or force, f"{path}: exists, allowed: a new name, --resume to go on, or --force to replace it")
         if resume:
             try:
                 rows = pl.read_parquet(path).rows_by_key(KEY, named=True, include_key=True)
@@ -138,9 +137,8 @@ def run_tasks(
             path.unlink()  # so that what is resumed later is of one run
     asked = {canonical(key): key for key in keys}
     for made in (row.get(SEED, seed) for text in asked for row in rows.get(text, ())):
-        if made != seed:
-            allowed = f"--seed {made} to go on, or --force to replace them"
-            raise InputError(f"{path}: its rows are of --seed {made}, found {seed}, allowed: {allowed}")
+        allowed = f"--seed {made} to go on, or --force to replace them"
+        require(made == seed, f"{path}: its rows are of --seed {made}, found {seed}, allowed: {allowed}")
     waiting, running = deque(text for text in asked if text not in rows), dict[Future[Any], str]()
     done, failed, due = len(asked) - len(waiting), 0, time.monotonic() + EVERY
     own = resume or force  # the table is this run's, not of another that began meanwhile

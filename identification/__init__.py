@@ -30,7 +30,6 @@ if TYPE_CHECKING:  # isort: off
     from identification.gap.diagnose import diagnose
     from identification.gap.fit import fitted_arm
     from identification.gap.result import Diagnosis
-    from identification.validate import predicted_95
     from identification.replications import Replications, StudyFile
 
     # what designs need
@@ -38,7 +37,7 @@ if TYPE_CHECKING:  # isort: off
     from identification.information import log_determinants, spectrum
 
     # errors, progress, arrays
-    from identification.errors import ArmcalError, InputError, JobError, nearest
+    from identification.errors import ArmcalError, InputError, JobError, nearest, require
     from identification.vectorized import vectorize
     from identification.levenberg_marquardt import newton_ascent
     from identification.running import Progress, Status, additions

@@ -20,7 +20,7 @@ from identification.document import Document, Sheet, html
 from identification.errors import InputError, require
 from identification.kinematics import parameters
 from identification.kinematics.chain import KinematicChain, planar_chain
-from identification.kinematics.counting import Counting, JointKinds, check_kinds
+from identification.kinematics.counting import Counting, JointKinds
 from identification.kinematics.frames import as_poses
 from identification.kinematics.parameters import GEOMETRY, JOINT_OFFSET, LENGTH_ERROR, MAX_LINKS, REVOLUTE
 from identification.workspace import Cell, ColumnLimits, WorkspaceConstraint
@@ -287,7 +287,7 @@ class Arm(ByValue):
             good = ratios.size == n and bool(np.all(np.isfinite(ratios) & (ratios >= 0.0)))
             require(good, f"gear_ratio: found {ratios.tolist()}, allowed: {n} numbers >= 0, one for each joint")
         counting = self.counting or Counting.usual(n)
-        check_kinds(counting, chain.joint_types)
+        counting.check(chain.joint_types)
         for field_name, value in ({"chain": chain, "gear_ratios": ratios, "counting": counting} | limits).items():
             object.__setattr__(self, field_name, value)
 

@@ -46,7 +46,13 @@ def capsules_around(triangles: Array, most: int = 8) -> Array:
         tight = -from_capsules(capsules, around)[0].min(initial=0.0) < max(0.3 * cell, 3.0)
         if tight or len(parts) >= most:
             break
-        parts = parted(parts, min(2 * len(parts), most))
+        many = min(2 * len(parts), most)
+        while len(parts) < many:  # the one that varies most is cut in two across where it does
+            part = parts.pop(int(np.argmax([len(each) * np.var(each, axis=0).sum() for each in parts])))
+            middle = part.mean(axis=0)
+            along = (part - middle) @ np.linalg.eigh((part - middle).T @ (part - middle))[1][:, 2]
+            halves = [part[along < 0.0], part[along >= 0.0]]
+            parts += halves if min(map(len, halves)) else [part, part]
     best = min(value for value, _ in found)
     capsules = next(each for value, each in found if value <= 1.35 * best)  # fewer, if they are nearly as good
     for weight in (1000.0, 10000.0):
@@ -119,18 +125,6 @@ def like(points: Array) -> Array:
     radius = 2.0 * np.sqrt(narrow * wide)
     half = max(np.sqrt(3.0) * long - 0.7 * radius, 0.1 * radius) * axes[:, 2]
     return np.r_[middle - half, middle + half, radius]
-
-
-def parted(parts: list[Array], count: int) -> list[Array]:
-    """So many parts: the one that varies most is cut in two across where it does, again and again."""
-    parts = list(parts)
-    while len(parts) < count:
-        part = parts.pop(int(np.argmax([len(each) * np.var(each, axis=0).sum() for each in parts])))
-        middle = part.mean(axis=0)
-        along = (part - middle) @ np.linalg.eigh((part - middle).T @ (part - middle))[1][:, 2]
-        halves = [part[along < 0.0], part[along >= 0.0]]
-        parts += halves if min(map(len, halves)) else [part, part]
-    return parts
 
 
 def spread(points: Array, most: int) -> Array:

@@ -201,6 +201,19 @@ class ArmModel(Model):
         jacobian = self._of_each_point(self, np.atleast_2d(np.asarray(postures, dtype=float)), Conditions())
         return jacobian.reshape(len(jacobian), self.points_read, self.arm.chain.coordinates, -1)[:, :, POINT]
 
+    def predicted_95(self, measurements: Measurements) -> tuple[Array, Array | None]:
+        """(m, d) positions of a calibrated arm at measured postures, and how far their 95 % intervals reach by the
+        covariance of its calibration; None: it has none."""
+        from identification.estimation.uncertainty import freedom_of, quantile_95
+
+        positions, jacobian = self.linearize(measurements.postures, self.values, measurements.conditions)
+        if (calibration := self.arm.calibration) is None or calibration.covariance is None:
+            return positions, None
+        place = [self.names.index(name) for name in calibration.parameter_names]
+        columns = jacobian[..., place] * quantile_95(freedom_of(calibration))
+        squares = np.einsum("mdp,pq,mdq->md", columns, calibration.covariance, columns, optimize=True)
+        return positions, np.sqrt(squares)
+
     # -- what may be missing ---------------------------------------------------------------------------------------
     @property
     def complete(self) -> bool:

@@ -161,25 +161,20 @@ def past_from_order(postures: Array) -> Array:
         kept = angles[:1]
         for row, angle in enumerate(angles):
             past[row, j] = [kept[0]] * (REMEMBERED - len(kept)) + kept
-            _remember(kept, angle)
+            kept.append(angle)
+            while len(kept) > 2:  # turning points on the way, and swings inside larger ones, are forgotten
+                last, before = kept[-1] - kept[-2], kept[-2] - kept[-3]
+                if last * before >= 0.0:
+                    del kept[-2]
+                elif len(kept) > 3 and abs(before) <= min(abs(last), abs(kept[-3] - kept[-4])):
+                    del kept[-3:-1]
+                elif len(kept) > REMEMBERED:
+                    swings = [abs(b - a) for a, b in pairwise(kept)]
+                    least = 1 + min(range(len(swings) - 2), key=swings[1:-1].__getitem__)
+                    del kept[least : least + 2]
+                else:
+                    break
     return past
-
-
-def _remember(kept: list[float], angle: float) -> None:
-    """Add an angle to turning points, in place: those on the way and swings inside larger ones are forgotten."""
-    kept.append(angle)
-    while len(kept) > 2:
-        last, before = kept[-1] - kept[-2], kept[-2] - kept[-3]
-        if last * before >= 0.0:
-            del kept[-2]
-        elif len(kept) > 3 and abs(before) <= min(abs(last), abs(kept[-3] - kept[-4])):
-            del kept[-3:-1]
-        elif len(kept) > REMEMBERED:
-            swings = [abs(b - a) for a, b in pairwise(kept)]
-            least = 1 + min(range(len(swings) - 2), key=swings[1:-1].__getitem__)
-            del kept[least : least + 2]
-        else:
-            return
 
 
 # -- measurements ------------------------------------------------------------------------------------------------------
@@ -442,6 +437,16 @@ class Measurements(ByValue):
         once = self._picked(np.unique(self.originals))
         return replace(once, session_names=once.sessions)
 
+    def of_sessions(self, measurements: Measurements) -> Measurements:
+        """A hold-out with the sessions numbered as in its data; raises `InputError` for one that these lack."""
+        if len(names := measurements.session_names) < 2:
+            return replace(self, session=None, session_names=())
+        for name in self.sessions or ("",):
+            which = f"session {name!r}" if name else "no column session"
+            allowed = f"{', '.join(names)}, as in the data; or armcal validate"
+            require(name in names, f"holdout: found {which}, allowed: {allowed}")
+        return replace(self, session_names=names)
+
     def _picked(self, index: Any) -> Self:
         columns = [name for name in (*VALUES, "past") if getattr(self, name) is not None]
         return replace(self, **{name: getattr(self, name)[index] for name in columns})
@@ -480,18 +485,6 @@ def pooled_sessions(tables: Mapping[str, Measurements]) -> Measurements:
     provenance: dict[str, Any] = {"file": ", ".join(origins["file"])} if origins["file"] else {}
     provenance |= {"sha256": origins["sha256"]} if origins["sha256"] else {}
     return Measurements(**joined, provenance=MappingProxyType(provenance))
-
-
-def of_these_sessions(holdout: Measurements, measurements: Measurements) -> Measurements:
-    """A hold-out with the sessions numbered as in the data; raises `InputError` for a session that the data lack."""
-    if len(measurements.session_names) < 2:
-        return replace(holdout, session=None, session_names=())
-    names = measurements.session_names
-    for name in holdout.sessions or ("",):
-        if name not in names:
-            which = f"session {name!r}" if name else "no column session"
-            raise InputError(f"holdout: found {which}, allowed: {', '.join(names)}, as in the data; or armcal validate")
-    return replace(holdout, session_names=names)
 
 
 # -- which rows --------------------------------------------------------------------------------------------------------

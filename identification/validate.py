@@ -19,7 +19,7 @@ from identification.errors import InputError
 from identification.estimation import Identification, estimate
 from identification.estimation.doubts import lacking, left_out_residuals
 from identification.estimation.problem import Problem, check_shape
-from identification.estimation.uncertainty import LEVEL_95, freedom_of, gained_squares, quantile_95
+from identification.estimation.uncertainty import LEVEL_95, gained_squares
 from identification.information import spectrum
 from identification.kinematics.chain import BASE, TOOL, standing_in
 from identification.kinematics.frames import pose_table
@@ -281,19 +281,6 @@ def beside_geometry(by: str, geometry: Array, model: Array, measurements: Measur
     p_value = gained_squares(before, after, measurements).p_above()
     alone, whole = ((rms_distance(left), float(np.max(distances(left)))) for left in (geometry, model))
     return offer(by, len(model), whole, alone, p_value)
-
-
-def predicted_95(arm: Arm, measurements: Measurements) -> tuple[Array, Array | None]:
-    """(m, d) positions of a calibrated arm at measured postures, and how far their 95 % intervals reach by the
-    covariance of its calibration; None: it has none."""
-    model, calibration = Model(arm), arm.calibration
-    if calibration is None or calibration.covariance is None:
-        return model.position(measurements.postures, conditions=measurements.conditions), None
-    place = [model.names.index(name) for name in calibration.parameter_names]
-    positions, jacobian = model.linearize(measurements.postures, model.values, measurements.conditions)
-    columns = jacobian[..., place] * quantile_95(freedom_of(calibration))
-    squares = np.einsum("mdp,pq,mdq->md", columns, calibration.covariance, columns, optimize=True)
-    return positions, np.sqrt(squares)
 
 
 def judged(diagnosis: Diagnosis, arm: Arm, measurements: Measurements, holdout: Measurements | None) -> Diagnosis:

@@ -19,7 +19,7 @@ import click
 
 import doe
 from doe.cli.verb import Count, JobOptions, Picture, Seconds, WholeNumbers, interruptible
-from identification import InputError, JobError, Progress
+from identification import InputError, JobError, Progress, require
 from identification.document import Answer, Document, Sheet, count_of, in_a_sentence
 from identification.files.io import write_together
 from identification.workflow import VERBS, Folder, Names, Written
@@ -68,8 +68,7 @@ def design_problem(
     from identification import Plan, design_model
 
     name = wanted.criterion or ("I" if wanted.robust else "D")
-    if wanted.missing is not None and not wanted.robust:
-        raise InputError("--missing: found without --robust, allowed: with --robust")
+    require(wanted.missing is None or wanted.robust, "--missing: found without --robust, allowed: with --robust")
     for option, value, needed in (("--test-poses", wanted.test_poses, "I"), ("--subset", wanted.subset, "Ds")):
         if value is not None and name in NAMES and name != needed:
             raise InputError(f"{option}: criterion {name} does not use it, allowed: with criterion {needed}")
@@ -165,12 +164,10 @@ def design_files(
     from doe.report.design import columns_beside, design_document, discriminating_parts, missing_lines
     from identification import load_arm
 
-    if criterion.robust and discriminating:
-        raise InputError("--discriminating: found with --robust, allowed: one of them")
+    require(not (criterion.robust and discriminating), "--discriminating: found with --robust, allowed: one of them")
     loaded = load_arm(arm, package_dir)
     if clearance_mm is not None:
-        if not 0.0 <= clearance_mm < math.inf:
-            raise InputError(f"--clearance-mm: found {clearance_mm:g}, allowed: a number >= 0")
+        require(0.0 <= clearance_mm < math.inf, f"--clearance-mm: found {clearance_mm:g}, allowed: a number >= 0")
         if loaded.cell is None:
             lacks = "found for an arm without bodies, allowed: with [cell] or bodies in its URDF file"
             raise InputError(f"--clearance-mm: {lacks}")
@@ -253,9 +250,8 @@ def score_files(
     bounded = design_problem(loaded, criterion, len(judged))
     if criterion.robust or bounded.choices is not None:
         bounded = with_choices(bounded, judged.postures)
-    if len(judged) < bounded.fewest_runs:
-        need = f"at least {bounded.fewest_runs} for {bounded.parameters} parameters"
-        raise InputError(f"{plan}: runs: found {len(judged)}, allowed: {need}")
+    need = f"at least {bounded.fewest_runs} for {bounded.parameters} parameters"
+    require(len(judged) >= bounded.fewest_runs, f"{plan}: runs: found {len(judged)}, allowed: {need}")
     design = doe.score_plan(bounded, judged, seconds=seconds)
     if design.outside:
         warnings.warn(f"{plan}: {design.no_efficiency}", UserWarning, stacklevel=2)
@@ -320,8 +316,7 @@ def advise_files(
     if not 1 <= len(ends) <= 2 or not all(re.fullmatch(r"\s*\d{1,6}\s*", part, re.ASCII) for part in ends):
         raise InputError(f"--runs: {runs!r}, allowed: A:B or A with whole numbers up to 999999, such as 4:40")
     low, high = int(ends[0]), int(ends[-1])
-    if low > high or high < fewest:
-        raise InputError(f"--runs: {runs!r}, allowed: A <= B, and B >= {fewest} for this arm")
+    require(low <= high and high >= fewest, f"--runs: {runs!r}, allowed: A <= B, and B >= {fewest} for this arm")
     numbers = range(max(low, fewest), high + 1)
     advice = advise(problem, numbers, target=target_mm, seed=seed, seconds=seconds, progress=progress)
     doubts = [given_sigma] if given_sigma else []
@@ -368,8 +363,7 @@ def relax_files(
     if robust and runs is None:
         raise InputError("--robust: no --runs given, allowed: with --runs, the number of measurements")
     problem = design_problem(loaded, criterion, runs or 0, candidates=candidates if robust else None)
-    if runs is not None and not problem.deviations:
-        raise InputError("--runs: found without --robust, allowed: with --robust")
+    require(runs is None or problem.deviations, "--runs: found without --robust, allowed: with --robust")
     problem = with_choices(problem) if robust and grid is None else problem
     solver = solver or "column_generation"
     if seconds is not None and solver in LARGEST:
@@ -476,7 +470,7 @@ def program_files(
     out : Write the program, which takes the name of the file.
     """
     from doe import DesignProblem
-    from doe.plan.moves import from_elsewhere, in_sentences
+    from doe.plan.moves import in_sentences
     from doe.program.program import program
     from doe.report.design import posture_headings
     from identification import Plan, load_arm
@@ -497,7 +491,7 @@ def program_files(
     headings = ["", *posture_headings(file), "after [s]"]
     rows = [[m["kind"], *(f"{q:.3f}" for q in m["joints"]), f"{m['seconds']:.0f}"] for m in made.moves]
     doubts = in_sentences(made.not_free)
-    if elsewhere := from_elsewhere(file):
+    if elsewhere := file.from_elsewhere:
         named = f"run{'s' * (len(elsewhere) != 1)} {', '.join(map(str, elsewhere))}"
         doubts.append(f"Joints come to {named} from other sides than direction1.. of {plan} say, in want of way-points")
     document = Document(parts=[sentence, Sheet(headings, rows, most=60), *doubts])
@@ -543,8 +537,7 @@ def discriminate_files(
             masses = (-1.0,)
         if not all(0.0 <= mass < math.inf for mass in masses):
             raise InputError(f"--payloads: {payloads!r}, allowed: numbers >= 0 [kg], as in 0,5,10")
-        if loaded.gravity is None:
-            raise InputError(f"--payloads: {arm} has no [gravity] table, allowed: with one")
+        require(loaded.gravity is not None, f"--payloads: {arm} has no [gravity] table, allowed: with one")
     loaded.chain.refuse_contacts()
     problem = doe.DesignProblem.of(loaded)
     measured = [q for path in data for q in Plan.load(path, loaded.joint_types, carried_out=True).postures.round(3)]

@@ -30,7 +30,7 @@ from doe.problem.postures import listed_candidates, random_postures
 from doe.problem.problem import information_of_each
 from doe.solvers import Solver, solve
 from doe.solvers.solver import LONG_PLAN, LONG_PLAN_SECONDS, Budget
-from identification import Array, InputError, Plan, Progress, Status, design_model, spectrum
+from identification import Array, Plan, Progress, Status, design_model, require, spectrum
 
 if TYPE_CHECKING:
     from doe.design import Design
@@ -67,6 +67,22 @@ class EffectLibrary:
     def of(cls, arm: Arm) -> EffectLibrary:
         """The effects of the library that an arm can have, besides its own; without the rare ones."""
         return cls(*offered(design_model(arm), "rival_effects", "discriminating")())
+
+    def in_order(self, postures: Array, generator: Generator, budget: Budget) -> Array:
+        """(m, n) the order of many that shows backlash and drift best beside the model's parameters: by log det of what
+        the data tell of the order's effects, beyond what the others explain; effort: it has a second in any case."""
+        deadline = max(budget.deadline, perf_counter() + 1.0)
+        shuffles = [generator.permutation(len(postures)) for _ in range(200)]  # effort
+        scores, base, jacobian_of = list[float](), self.base, self.jacobian_by_order
+        for order in shuffles:
+            if jacobian_of is None or (scores and perf_counter() >= deadline):
+                break
+            jacobian = jacobian_of(postures[order])
+            information = information_matrix(jacobian)
+            cross = information[:base, base:]
+            explained = cross.T @ spectrum(jacobian[..., :base], np.ones(base)).covariance @ cross
+            scores.append(float(log_determinants(information[base:, base:] - explained)))
+        return postures[shuffles[int(np.argmax(scores or [0.0]))]]
 
 
 class MisidentificationBound:
@@ -216,10 +232,8 @@ def discrimination_design(
     Raises `InputError` for a loss outside 0..1, a criterion other than D, and too few runs (4 residual degrees of
     freedom are needed). Ctrl-C returns the plan so far, status `interrupted`.
     """
-    if not 0.0 <= loss < 1.0:
-        raise InputError(f"loss: {loss}, allowed: 0 <= loss < 1")
-    if problem.criterion.name != "D":
-        raise InputError(f"criterion: {problem.criterion.name} for a discriminating plan, allowed: D")
+    require(0.0 <= loss < 1.0, f"loss: {loss}, allowed: 0 <= loss < 1")
+    require(problem.criterion.name == "D", f"criterion: {problem.criterion.name} for a discriminating plan, allowed: D")
     began = perf_counter()
     library = effects if isinstance(effects, EffectLibrary) else EffectLibrary.of(effects)
     if runs > LONG_PLAN and starts is None and seconds is None:
@@ -238,7 +252,7 @@ def discrimination_design(
             status = Status.time_limit if budget.ended() else Status.local_optimum
         except KeyboardInterrupt:
             status = Status.interrupted
-    plan = replace(best.plan, postures=in_order(chosen, library, generator, budget))
+    plan = replace(best.plan, postures=library.in_order(chosen, generator, budget))
     design = replace(best, plan=plan, solver="discriminating", status=status, seconds=perf_counter() - began)
 
     def judged(plan: Plan) -> tuple[Any, float]:  # with the postures measured already
@@ -255,23 +269,6 @@ def discrimination_design(
     at_random = float(np.median([state.wrong(dice.permutation(cloud)[:runs]) for _ in range(many)]))
     (sees, wrong), (best_sees, best_wrong) = judged(plan), judged(best.plan)
     return Discrimination(design, best, sees, best_sees, wrong, best_wrong, min(1.0, at_random), judged)
-
-
-def in_order(postures: Array, library: EffectLibrary, generator: Generator, budget: Budget) -> Array:
-    """(m, n) the order of many that shows backlash and drift best beside the model's parameters: by log det of what the
-    data tell of the order's effects, beyond what the others explain; effort: it has a second in any case."""
-    deadline = max(budget.deadline, perf_counter() + 1.0)
-    shuffles = [generator.permutation(len(postures)) for _ in range(200)]  # effort
-    scores, base, jacobian_of = list[float](), library.base, library.jacobian_by_order
-    for order in shuffles:
-        if jacobian_of is None or (scores and perf_counter() >= deadline):
-            break
-        jacobian = jacobian_of(postures[order])
-        information = information_matrix(jacobian)
-        cross = information[:base, base:]
-        explained = cross.T @ spectrum(jacobian[..., :base], np.ones(base)).covariance @ cross
-        scores.append(float(log_determinants(information[base:, base:] - explained)))
-    return postures[shuffles[int(np.argmax(scores or [0.0]))]]
 
 
 # -- swaps -------------------------------------------------------------------------------------------------------------

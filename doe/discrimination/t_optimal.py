@@ -17,7 +17,7 @@ from scipy.special import ndtr
 
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem, Stop, never
-from identification import Array, InputError, Plan, Status
+from identification import Array, InputError, Plan, Status, require
 
 if TYPE_CHECKING:
     from identification import Diagnosis
@@ -145,8 +145,7 @@ def discriminate(
 
     Raises `InputError` for a diagnosis that is not ambiguous, or `runs` < 1, or if no posture is allowed.
     """
-    if runs < 1:
-        raise InputError(f"runs: {runs}, allowed: at least 1")
+    require(runs >= 1, f"runs: {runs}, allowed: at least 1")
     if len(diagnosis.candidates) < 2:
         raise InputError(f"diagnosis: the verdict is {diagnosis.verdict}, allowed: ambiguous, with several candidates")
     problem, generator = DesignProblem.of(model), np.random.default_rng(seed)

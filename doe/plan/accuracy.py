@@ -26,7 +26,7 @@ from doe.criteria import NAMES, A, Criterion, D, Ds, DStar, E, I, information_ma
 from doe.problem.model import NEEDS_SIGMA, offered, offers
 from doe.problem.postures import connected, half_at_limits, listed_candidates, random_postures
 from doe.problem.problem import DesignProblem
-from identification import Array, InputError, ParameterSet, spectrum
+from identification import Array, InputError, ParameterSet, require, spectrum
 
 
 @dataclass(frozen=True)
@@ -148,13 +148,11 @@ def criterion_of(
     """
     parameters = problem.model.parameters
     if name == "I":
-        if poses is None or not len(poses):
-            found = "criterion: I needs test poses, none are given"
-            raise InputError(f"{found}, allowed: at least one posture (--test-poses)")
+        found = "criterion: I needs test poses, none are given"
+        require(poses is not None and len(poses), f"{found}, allowed: at least one posture (--test-poses)")
         return average_error(problem, poses)
     if name == "Ds":
-        if not subset:
-            raise InputError("criterion: Ds needs a subset (--subset), found none, allowed: one parameter or more")
+        require(subset, "criterion: Ds needs a subset (--subset), found none, allowed: one parameter or more")
         return Ds(tuple(parameters.index(word) for word in subset))
     plain: dict[str, Criterion] = {"D": D(), "A": A(), "E": E(), "Dstar": DStar.by_unit(parameters.units)}
     InputError.check_names("criterion: unknown name", [name], NAMES)
@@ -169,8 +167,7 @@ def missing_effects(problem: DesignProblem, names: Sequence[str] | None = None, 
     Raises `InputError` for a model that does not know, unknown names, no sigma.
     """
     missing = offered(problem.model, "missing_effects", "robust")
-    if problem.model.sigma is None:
-        raise InputError(f"--robust {NEEDS_SIGMA}")
+    require(problem.model.sigma is not None, f"--robust {NEEDS_SIGMA}")
     # the order of the fastest wave of an error curve that a plan is to show (doe/README.md, "Robust designs"): a wave
     # has two parameters at each joint
     equations = (runs + len(problem.kept)) * problem.model.dimension

@@ -355,7 +355,7 @@ def drive(
 def rows_of(moves: Plan) -> list[dict[str, Any]]:
     """Of each row of a plan its `kind` (`measure` or `via`), the `run` that is measured there, None at a way-point, and
     the `joints` as the controller counts them [deg, mm]."""
-    runs = np.arange(1, len(moves) + 1) if moves.via is None else np.where(moves.via, 0, np.cumsum(~moves.via))
+    runs = np.where(moves.is_run, np.cumsum(moves.is_run), 0)
     return [
         {"kind": "measure" if run else "via", "run": run or None, "joints": joints}
         for run, joints in zip(runs.tolist(), moves.displayed.tolist(), strict=True)
@@ -383,15 +383,6 @@ def in_sentences(moves: Sequence[Mapping[str, Any]]) -> list[str]:
     return lines + [
         f"  to row {each['row']}: {' and '.join(each['bodies'])} come to {each['distance_mm']:.0f} mm" for each in moves
     ]
-
-
-def from_elsewhere(plan: Plan) -> list[int]:
-    """Runs, from 1, to which a joint comes from another side than the plan's file says it is to."""
-    via = np.zeros(len(plan), dtype=bool) if plan.via is None else plan.via
-    motions = np.diff(plan.postures, axis=0, prepend=plan.postures[:1])  # to the first it may come from anywhere
-    asked = plan.conditions.get("directions")
-    against = np.zeros(len(plan), dtype=bool) if asked is None else np.any(motions * np.nan_to_num(asked) < 0.0, axis=1)
-    return [run for run, wrong in enumerate(against[~via].tolist(), start=1) if wrong]
 
 
 def one_turn(problem: DesignProblem, room: Room, postures: Array) -> Callable[[Array], Array]:

@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from identification import Array, InputError, ParameterSet
+from identification import Array, InputError, ParameterSet, require
 
 
 class DesignModel(Protocol):
@@ -101,9 +101,8 @@ def joint_units(model: DesignModel) -> Array:
 def check_model(model: Any) -> None:
     """Raises `InputError`, which names the first member of `DesignModel` that a model lacks, or whose size is wrong."""
     for name in REQUIRED:
-        if not hasattr(model, name):
-            allowed = f"one with {name} and all of doe.problem.model.DesignModel, such as Model(arm)"
-            raise InputError(f"model: {type(model).__name__}, allowed: {allowed}")
+        allowed = f"one with {name} and all of doe.problem.model.DesignModel, such as Model(arm)"
+        require(hasattr(model, name), f"model: {type(model).__name__}, allowed: {allowed}")
     n, p = len(model.joint_types), len(model.parameters)
     for name, size in {"values": p, "lower": n, "upper": n}.items():
         array = np.asarray(getattr(model, name), dtype=float)

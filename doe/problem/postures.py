@@ -7,7 +7,7 @@ from numpy.random import Generator
 from numpy.typing import ArrayLike
 
 from doe.problem.problem import DesignProblem
-from identification import Array, InputError
+from identification import Array, InputError, require
 
 INSIDE = 1e-6  # [rad] by which constraints are kept: rounding
 
@@ -103,8 +103,7 @@ def grid(problem: DesignProblem, levels: int) -> Array:
     A joint that changes neither information nor constraints (q_1 of a free base model) stays in the middle of its
     range. Raises InputError for fewer than two levels and where no candidate is left.
     """
-    if levels < 2:
-        raise InputError(f"grid: {levels} levels per joint, allowed: at least 2 (the joint limits)")
+    require(levels >= 2, f"grid: {levels} levels per joint, allowed: at least 2 (the joint limits)")
     gridded, count = problem.searched_joints, 2**24  # candidates at most: a gigabyte
     if levels ** len(gridded) > count:
         asked, most = f"{levels} levels for each of {len(gridded)} joints", int(count ** (1.0 / len(gridded)) + 1e-9)
@@ -135,8 +134,7 @@ def listed_candidates(problem: DesignProblem, postures: ArrayLike) -> Array:
 def _allowed(problem: DesignProblem, postures: Array, inside: Array) -> Array:
     """Those inside that satisfy the constraints."""
     inside[inside] = problem.feasible(postures[inside])
-    if not inside.any():
-        raise InputError(f"candidates: 0 of {len(inside)} are within limits and constraints, allowed: at least one")
+    require(inside.any(), f"candidates: 0 of {len(inside)} are within limits and constraints, allowed: at least one")
     return postures[inside]
 
 

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from doe.criteria import Criterion, D, information_matrix
 from doe.problem.constraints import Constraint, Derivatives, Walls, constraints_of
 from doe.problem.model import NEEDS_SIGMA, DesignModel, check_model, joint_units, offers, turns
-from identification import Array, InputError, design_model, vectorize
+from identification import Array, InputError, design_model, require, vectorize
 
 ONE_DEGREE = float(np.radians(1.0))
 MANY = 16  # parameters above which gradients pay: exchanges and second derivatives of plans cost the cube of them
@@ -191,8 +191,7 @@ class DesignProblem:
     def scaled_jacobians(self, postures: ArrayLike) -> Array:
         """(..., d, p) dimensionless Jacobians B of (..., n) postures: Jacobian columns over their scales."""
         angles = np.atleast_2d(np.asarray(postures, dtype=float))
-        if angles.shape[-1] != self.joints:
-            raise InputError(f"postures: shape {angles.shape}, allowed: (..., {self.joints})")
+        require(angles.shape[-1] == self.joints, f"postures: shape {angles.shape}, allowed: (..., {self.joints})")
         return self._evaluate(angles)[0]
 
     @cached_property
@@ -246,11 +245,9 @@ class DesignProblem:
         """
         parameters, sizes = self.model.parameters, np.full(self.parameters, np.inf)
         for name, deviation in self.deviations.items():
-            if not 0.0 < deviation < np.inf:
-                raise InputError(f"deviations: {name} has {deviation:g}, allowed: a finite number > 0")
+            require(0.0 < deviation < np.inf, f"deviations: {name} has {deviation:g}, allowed: a finite number > 0")
             sizes[parameters.index(name)] = deviation
-        if self.deviations and self.model.sigma is None:
-            raise InputError(f"a prior {NEEDS_SIGMA}")
+        require(not self.deviations or self.model.sigma is not None, f"a prior {NEEDS_SIGMA}")
         return np.asarray(((self.model.sigma or 0.0) / (parameters.scales * sizes)) ** 2)
 
     @cached_property

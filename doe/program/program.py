@@ -18,7 +18,7 @@ import numpy as np
 from doe.plan.moves import clearance_of, room_of, rows_of, unproven
 from doe.problem.clearance import ROUNDING
 from doe.problem.constraints import constraints_of
-from identification import Arm, InputError, Plan
+from identification import Arm, InputError, Plan, require
 
 FULL_SPEED = (120.0, 1000.0)  # [deg/s, mm/s] what 100 % of the speed is taken for: every axis of common arms does that
 RAMP = 0.3  # [s] from rest to full speed, of common arms; --robot ur is asked for 1.4 rad/s^2
@@ -74,16 +74,13 @@ def program(
     from jinja2.sandbox import ImmutableSandboxedEnvironment
 
     (file, angle, length, least, most), n = LANGUAGES[robot], arm.links
-    if not least <= n <= most:
-        allowed = f"{least} to {most}" if least < most else least
-        raise InputError(f"--robot {robot}: {n} joints, allowed: {allowed}")
-    if not 0.0 <= settle <= 300.0:  # a FANUC waits 327 s at most
-        raise InputError(f"--settle: {settle:g} s, allowed: 0 to 300")
+    allowed = f"{least} to {most}" if least < most else least
+    require(least <= n <= most, f"--robot {robot}: {n} joints, allowed: {allowed}")
+    require(0.0 <= settle <= 300.0, f"--settle: {settle:g} s, allowed: 0 to 300")  # a FANUC waits 327 s at most
     plan = replace(plan, joint_types=arm.joint_types)
     columns, slides = plan.displayed, np.array([unit == "mm" for unit in plan.units])
     if robot == "ur" and slides.any():
         raise InputError(f"--robot ur: joint {np.argmax(slides) + 1} slides, allowed: joints that turn")
-    via = np.zeros(len(plan), dtype=bool) if plan.via is None else plan.via
     ends = np.where(slides, arm.column_limits, np.degrees(arm.column_limits))  # [deg, mm], NaN where there are none
     outside = (columns < ends[0] - 1e-4) | (columns > ends[1] + 1e-4)  # by more than rounding of files
     for row, j in np.argwhere(outside)[:1]:
@@ -93,7 +90,7 @@ def program(
     clearance = clearance_of(constraints)
     for constraint in constraints:
         # a way-point need not be seen, and where bodies are known it keeps what moves keep
-        exempt = via & (constraint.kind == "line_of_sight" or clearance is not None)
+        exempt = ~plan.is_run & (constraint.kind == "line_of_sight" or clearance is not None)
         broken = np.any(constraint.margin(plan.postures) < -ROUNDING, axis=1) & ~exempt
         for row in np.flatnonzero(broken)[:1]:
             raise InputError(f"row {row + 1}: breaks the constraint {constraint.kind}, allowed: postures that keep it")
@@ -112,8 +109,9 @@ def program(
     else:  # KUKA's acceleration is that share of its full one, too; a short way ends before the speed is reached
         ramp = {"ur": speed / 100.0 * np.radians(FULL_SPEED[0]) / 1.4, "kuka": RAMP}.get(robot, speed / 100.0 * RAMP)
         moving = np.where(moving > ramp, moving + ramp, 2.0 * np.sqrt(moving * ramp))
-    left = np.cumsum(moving + settle * ~via)
-    arrivals, departures = (np.ceil(1000.0 * each).astype(int).tolist() for each in (left - settle * ~via, left))
+    pauses = settle * plan.is_run
+    left = np.cumsum(moving + pauses)
+    arrivals, departures = (np.ceil(1000.0 * each).astype(int).tolist() for each in (left - pauses, left))
     units, rows, moves, postures = [length if slide else angle for slide in slides], rows_of(plan), [], []
     doubts = {move["row"]: f", may collide: {' and '.join(move['bodies'])}" for move in not_free}
     for k, (row, q, arrival, departure) in enumerate(zip(rows, columns, arrivals, departures, strict=True), start=1):
@@ -129,7 +127,7 @@ def program(
         postures.append(f"{k:3d} {label:8s}" + "".join(f"{x:10.3f}" for x in q + 0.0))
     identifier = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_")
     identifier = (identifier if identifier[:1].isalpha() else f"armcal_{identifier}".strip("_"))[:24]
-    planned = f"{int(sum(~via))} runs, {speed} % speed, {settle:g} s to settle"
+    planned = f"{len(plan.measured)} runs, {speed} % speed, {settle:g} s to settle"
     rest = f"about {departures[-1] / 60e3:.1f} min without measuring"
     variables = {
         "name": identifier,

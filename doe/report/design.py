@@ -241,7 +241,7 @@ def plan_steps(
         "comment": f"# fit: {plan.fit}" if plan.fit else "",
         "columns": list(cells),
         "rows": [list(row) for row in zip(*cells.values(), strict=True)],
-        "runs": [row for row in range(len(plan)) if plan.via is None or not plan.via[row]],
+        "runs": np.flatnonzero(plan.is_run).tolist(),
         "joints": posture_headings(plan),
         "postures": rounded(plan.displayed, 6),
         "jacobians": rounded(problem.scaled_jacobians(runs).reshape(len(runs), -1), 12),

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
-from matplotlib.axes import Axes
 from matplotlib.colors import LightSource
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
@@ -58,22 +57,18 @@ def plan_figure(arm: Arm, postures: Array) -> Figure:
         draw_constraints(axes[name], arm)
     first = "; bodies as in the first" if in_space and arm.cell is not None else ""
     figure.suptitle(f"{count}{', from two sides' * in_space}{first}", fontsize=9)
-    draw_joints(axes["joints"], arm, postures)
-    return figure
-
-
-def draw_joints(joints: Axes, arm: Arm, postures: Array) -> None:
-    """Every joint's angles within its limits; of sliding joints where they are between them."""
-    types, colors = design_model(arm).joint_types, run_colors(len(postures))
-    for j, kind in enumerate(types):
+    joints, types, colors = axes["joints"], arm.joint_types, run_colors(len(postures))
+    for j, kind in enumerate(types):  # of sliding joints where they are between their limits
         factor = 1.0 if kind == PRISMATIC else np.degrees(1.0)
-        limits = [factor * arm.lower[j], factor * arm.upper[j]]
-        joints.plot(limits, [j, j], color=LIMIT, lw=6, alpha=0.35, solid_capstyle="butt")
+        joints.plot(
+            [factor * arm.lower[j], factor * arm.upper[j]], [j, j], color=LIMIT, lw=6, alpha=0.35, solid_capstyle="butt"
+        )
         joints.scatter(factor * postures[:, j], np.full(len(postures), j), c=colors, s=26, zorder=3, lw=0)
     joints.set(yticks=range(arm.links), yticklabels=[f"$q_{j + 1}$" for j in range(arm.links)])
     joints.set_xlabel(" or ".join(sorted({"position [mm]" if kind == PRISMATIC else "angle [deg]" for kind in types})))
     joints.set_title("angles within the joint limits, light to dark in order of measurement", fontsize=9)
     joints.invert_yaxis()
+    return figure
 
 
 def run_colors(m: int) -> Array:

@@ -30,7 +30,7 @@ from doe.solvers.exchange import Exchange
 from doe.solvers.ipopt import Ipopt
 from doe.solvers.planar_theory import Analytic, optimal_plans
 from doe.solvers.solver import LONG_PLAN, LONG_PLAN_SECONDS, Budget, Offer, Solver
-from identification import Array, InputError, JobError, Plan, Progress, Status, additions
+from identification import Array, InputError, JobError, Plan, Progress, Status, additions, require
 
 AGREEMENT = 10  # independent local searches that end at the best value
 NEUTRAL = "under one payload, temperature, time and approach no posture distinguishes"
@@ -76,8 +76,7 @@ def available_solvers() -> Mapping[str, Solver]:
             solver = made() if isinstance(made, type) else made
         except Exception as error:  # noqa: BLE001 - other people's code
             raise InputError(f"{where}: {error}, allowed: a class that needs no arguments") from None
-        if not callable(getattr(solver, "offers", None)):
-            raise InputError(f"{where}, allowed: a solver with offers()")
+        require(callable(getattr(solver, "offers", None)), f"{where}, allowed: a solver with offers()")
         loaded[name] = solver
     return loaded | SOLVERS
 
@@ -243,9 +242,8 @@ def check_runs(problem: DesignProblem, runs: int) -> None:
         width = problem.comparable(problem.upper - problem.lower)[list(problem.searched_joints)]
         each = np.floor(width / problem.minimum_distance * (1.0 + 1e-9)) + 1.0
         most = places_of_free_joint(problem) * float(np.prod(each))
-        if runs + len(problem.kept) > most:
-            postures = f"{runs + len(problem.kept)} postures {problem.spacing} apart"
-            raise InputError(f"runs: {postures}, allowed: at most {most:.0f} in the limits")
+        postures = f"{runs + len(problem.kept)} postures {problem.spacing} apart"
+        require(runs + len(problem.kept) <= most, f"runs: {postures}, allowed: at most {most:.0f} in the limits")
 
 
 # -- independent answers -----------------------------------------------------------------------------------------------

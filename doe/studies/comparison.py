@@ -19,7 +19,7 @@ from doe.plan.accuracy import criterion_of
 from doe.problem.problem import DesignProblem
 from doe.solvers import Solver, available_solvers, solve
 from doe.solvers.solving import check_runs
-from identification import Arm, InputError
+from identification import Arm, InputError, require
 
 if TYPE_CHECKING:
     from doe.design import Design
@@ -64,8 +64,7 @@ def compare(
     if not 0.0 < seconds < np.inf:  # it is part of every key, in JSON
         raise InputError(f"seconds: found {seconds}, allowed: a finite number > 0")
     by_name = {solver if isinstance(solver, str) else solver.name: solver for solver in solvers}
-    if len(by_name) < len(solvers):
-        raise InputError(f"solvers: {', '.join(by_name)}, allowed: each name once")
+    require(len(by_name) == len(solvers), f"solvers: {', '.join(by_name)}, allowed: each name once")
     for arm, m in product(arms, runs):
         check_runs(compared_problem(arm, criteria[0]), m)
     by_hash = {short_hash(arm): arm for arm in arms}

@@ -17,7 +17,6 @@ import numpy as np
 import polars as pl
 
 from doe.jobs import Key, Row, canonical, parquet, run_tasks, short_hash
-from doe.problem.model import PRISMATIC
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem
 from doe.solvers import SOLVERS, solve
@@ -108,13 +107,10 @@ class Study:
                 elif row.get("status") == "done":
                     postures = Plan.of_displayed(np.array(row["postures_deg"]), arm.joint_types).postures
                 for sigma, truth, model in product(asked.sigma_mm or [arm.sigma or 0.0], asked.truths, asked.models):
-                    fitted, true, degrees = model.of(arm), truth.of(arm), None
-                    if isinstance(postures, np.ndarray):
-                        angles = [kind != PRISMATIC for kind in arm.joint_types]
-                        degrees = tuple(map(tuple, np.where(angles, np.degrees(postures), postures).tolist()))
+                    fitted, true = model.of(arm), truth.of(arm)
                     cell = postures if isinstance(postures, str) else (fitted, true, postures, runs, float(sigma))
                     key = dict(zip(CELL, (arm.name, name, runs, sigma, truth.name, model.name), strict=True))
-                    key["inputs"] = short_hash(fitted, true, degrees)
+                    key["inputs"] = short_hash(fitted, true, postures)
                     size = RANDOM_BLOCK if name == RANDOM else BLOCK
                     size = max(1, min(size, MOST_ROWS // (runs * max(1, len(arm.chain.tools)))))
                     starts = [0] if isinstance(cell, str) else range(0, asked.replications, size)

@@ -300,9 +300,20 @@ class Plan(ByValue):
         return int(self.postures.shape[1])
 
     @property
-    def measured(self) -> Array:
-        """(r, n) postures without way-points."""
-        return self.postures if self.via is None else self.postures[~self.via]
+    def is_run(self) -> NDArray[np.bool_]:
+        """(m,) rows that are measured, no way-points."""
+        return np.ones(len(self), dtype=bool) if self.via is None else ~self.via
+
+    measured = property(lambda self: self.postures[self.is_run])  # (r, n) postures without way-points
+
+    @property
+    def from_elsewhere(self) -> list[int]:
+        """Runs, from 1, to which a joint comes from another side than the plan's file says it is to."""
+        if (asked := self.conditions.get("directions")) is None:
+            return []
+        motions = np.diff(self.postures, axis=0, prepend=self.postures[:1])  # to the first it may come from anywhere
+        against = np.any(motions * np.nan_to_num(asked) < 0.0, axis=1)
+        return (np.flatnonzero(against[self.is_run]) + 1).tolist()
 
     @property
     def shares(self) -> Array:
@@ -379,7 +390,7 @@ class Plan(ByValue):
 
         With way-points directions no longer follow from the order of the measurements: they are columns then.
         """
-        measured = np.ones(len(self), dtype=bool) if self.via is None else ~self.via
+        measured = self.is_run
         columns: Columns = {"run": np.where(measured, np.cumsum(measured), np.nan)}
         columns |= {} if self.via is None else {"kind": np.where(measured, MEASURE, VIA)}
         columns |= self.columns

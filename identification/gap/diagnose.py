@@ -34,7 +34,7 @@ from identification.gap.result import Candidate, Diagnosis, as_calibration, prob
 from identification.gap.search import MOST_ROWS, PASSES, Posterior, posterior_of
 from identification.information import spectrum
 from identification.inspection.readings import gap_notes
-from identification.measurements import Measurements, of_these_sessions, rms_distance
+from identification.measurements import Measurements, rms_distance
 from identification.model import Model
 from identification.model.placed import with_base, with_sessions, without_sessions
 from identification.running import Progress, Status, single_thread
@@ -63,7 +63,7 @@ def diagnose(
     check_input(arm, measurements, holdout)
     copies, numbers = copied_rows(measurements), np.unique(measurements.originals)
     measurements = measurements.without_copies() if copies else measurements
-    holdout = None if holdout is None else of_these_sessions(holdout, measurements)
+    holdout = None if holdout is None else holdout.of_sessions(measurements)
     one_session = determined(arm, measurements)
     arm, rows, generator = with_sessions(one_session, measurements), Rows.of(measurements), np.random.default_rng(seed)
     if not Model(arm).names:

@@ -59,6 +59,16 @@ class Counting:
                 require(at not in passed, f"joints.coupled_to: {circle}, allowed: joints that lead to one with 0")
                 passed.add(at)
 
+    def check(self, kinds: Sequence[str]) -> None:
+        """Raises `InputError` for another number of joints, turning joints coupled to sliding ones, zeros of these."""
+        n, signs = len(kinds), len(self.sign)
+        require(signs == n, f"joints.sign: found {signs} values, allowed: {n}, one for each joint")
+        for j, (kind, other, zero) in enumerate(zip(kinds, self.coupled_to, self.zero, strict=True), start=1):
+            alike, which = not other or kinds[abs(other) - 1] == kind, f"joint {j}, which is {kind}"
+            require(alike, f"joints.coupled_to: found {other} for {which}, allowed: a joint of its kind")
+            held = kind != PRISMATIC or zero == 0.0
+            require(held, f"joints.zero_deg: found {np.degrees(zero):g} for {which}, allowed: 0")
+
     @classmethod
     @lru_cache(maxsize=16)
     def usual(cls, n: int) -> Self:
@@ -143,19 +153,6 @@ class JointKinds(tuple[str, ...]):
         joint_kinds = super().__new__(cls, tuple(kinds))
         joint_kinds.counting = counting or getattr(kinds, "counting", None) or Counting.usual(len(joint_kinds))
         return joint_kinds
-
-
-def check_kinds(counting: Counting, kinds: Sequence[str]) -> None:
-    """Raises `InputError` for another number of joints, turning joints coupled to sliding ones, zeros of these."""
-    n = len(kinds)
-    require(
-        len(counting.sign) == n, f"joints.sign: found {len(counting.sign)} values, allowed: {n}, one for each joint"
-    )
-    for j, (kind, other, zero) in enumerate(zip(kinds, counting.coupled_to, counting.zero, strict=True), start=1):
-        alike = not other or kinds[abs(other) - 1] == kind
-        require(alike, f"joints.coupled_to: found {other} for joint {j}, which is {kind}, allowed: a joint of its kind")
-        held_zero = f"zero_deg: found {np.degrees(zero):g} for joint {j}, which is {kind}"
-        require(kind != PRISMATIC or zero == 0.0, f"joints.{held_zero}, allowed: 0")
 
 
 def turned_into(postures: Array, lower: Array, upper: Array, joint_types: Sequence[str], slack: float = 0.0) -> Array:

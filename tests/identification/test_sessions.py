@@ -23,7 +23,7 @@ from identification import (
 from identification.inspection.readings import data_warnings
 from identification.instruments import Tracker
 from identification.kinematics.frames import pose, rotation_about
-from identification.measurements import of_these_sessions, pooled_sessions
+from identification.measurements import pooled_sessions
 from identification.model.placed import minimal, placed_model, with_sessions, without_sessions
 from identification.replications import ModelTable, Replications, StudyFile, TruthTable, true_values
 from identification.validate import drawing_residuals
@@ -86,11 +86,11 @@ def test_a_known_base_stays_known() -> None:
 def test_a_hold_out_has_the_sessions_of_the_data() -> None:
     data = pooled_sessions({"a": session(0), "b": session(1)})
     later = replace(session(1, 5), session=np.full(5, "b"))
-    np.testing.assert_array_equal(of_these_sessions(later, data).conditions.session, 1.0)
+    np.testing.assert_array_equal(later.of_sessions(data).conditions.session, 1.0)
     for other, found in ((session(1), "no column session"), (replace(later, session=np.full(5, "c")), "session 'c'")):
         with pytest.raises(InputError, match=f"holdout: found {found}, allowed: a, b, as in the data"):
-            of_these_sessions(replace(other, session_names=()), data)
-    assert of_these_sessions(later, session(0)).session is None
+            replace(other, session_names=()).of_sessions(data)
+    assert later.of_sessions(session(0)).session is None
 
 
 def test_pooled_tables() -> None:

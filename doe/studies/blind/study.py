@@ -32,7 +32,6 @@ from identification import (
     diagnose,
     fitted_arm,
     library,
-    predicted_95,
     rms_distance,
 )
 from identification.files.io import write_together
@@ -148,7 +147,7 @@ def inside_tip(arm: Arm, data: DataSet) -> float | None:
     where either is not known."""
     if data.exact is None or data.holdout is None:
         return None
-    computed, half = predicted_95(arm, data.holdout)
+    computed, half = design_model(arm).predicted_95(data.holdout)
     return None if half is None else float(np.mean(np.abs(data.exact - computed) <= half))
 
 

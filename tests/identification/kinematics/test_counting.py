@@ -28,7 +28,7 @@ from identification import (
 )
 from identification.estimation.doubts import outside_limits
 from identification.files.measurement import load_targets, measurement_text
-from identification.kinematics.counting import Counting, JointKinds, check_kinds, joint_range, range_of
+from identification.kinematics.counting import Counting, JointKinds, joint_range, range_of
 from identification.simulate import simulate
 from tests.refusals import refused
 
@@ -124,13 +124,13 @@ def test_what_no_controller_has(sign: tuple, coupled: tuple, zero: tuple, said: 
 
 def test_sliding_joints() -> None:
     kinds = ("revolute", "prismatic", "revolute")
-    check_kinds(Counting((1, -1, 1), (0, 0, 1), (1.0, 0.0, 0.0)), kinds)
+    Counting((1, -1, 1), (0, 0, 1), (1.0, 0.0, 0.0)).check(kinds)
     with pytest.raises(InputError, match="coupled_to: found 1 for joint 2, which is prismatic, allowed: a joint of"):
-        check_kinds(Counting((1, 1, 1), (0, 1, 0), (0.0, 0.0, 0.0)), kinds)
+        Counting((1, 1, 1), (0, 1, 0), (0.0, 0.0, 0.0)).check(kinds)
     with pytest.raises(InputError, match=r"zero_deg: found 57\.2958 for joint 2, which is prismatic, allowed: 0"):
-        check_kinds(Counting((1, 1, 1), (0, 0, 0), (0.0, 1.0, 0.0)), kinds)
+        Counting((1, 1, 1), (0, 0, 0), (0.0, 1.0, 0.0)).check(kinds)
     with pytest.raises(InputError, match="sign: found 1 values, allowed: 3"):
-        check_kinds(Counting((1,), (0,), (0.0,)), kinds)
+        Counting((1,), (0,), (0.0,)).check(kinds)
 
 
 TYPES = ("revolute", "prismatic", "revolute")
