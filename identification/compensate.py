@@ -26,7 +26,7 @@ from identification.files.csv import csv_text
 from identification.files.measurement import angle_columns, posture_columns
 from identification.instruments import Tracker
 from identification.kinematics.chain import standing_in
-from identification.kinematics.counting import turned_into
+from identification.kinematics.counting import range_of, turned_into
 from identification.kinematics.parameters import REVOLUTE
 from identification.levenberg_marquardt import Index, levenberg_marquardt, newton_ascent
 from identification.measurements import (
@@ -39,7 +39,7 @@ from identification.measurements import (
 )
 from identification.model import Model
 from identification.model.placed import in_own_frame
-from identification.provenance import check_calibrated, extrapolated, familiar_range, outside, provenance_of
+from identification.provenance import check_calibrated, extrapolated, outside, provenance_of
 from identification.simulate import SERVO, servo_shift
 
 TOLERANCE = 1e-6  # [mm] a target is reached if the model comes this close; so near may a constraint be missed
@@ -108,7 +108,14 @@ def compensate(
     likely = math.hypot(*(provenance_of(arm).get(key) or 0.0 for key in ("rms_after_mm", "expected_tip_mm")))
     tolerance = max(TOLERANCE, float(likely * np.sqrt(chdtri(arm.dimension, 1e-3) / arm.dimension)))
     goals = np.pad(points, ((0, 0), (0, model.dimension - arm.dimension)))  # of poses three zeros more
-    limits, familiar = (arm.lower, arm.upper), familiar_range(arm)
+    # angles of the identification, moved by whole turns into the limits, and these, where those are not known
+    familiar = limits = arm.lower, arm.upper
+    if (ends := range_of(provenance_of(arm), arm.joint_types)) is not None:
+        middle = ends.mean(axis=0)
+        turns = turned_into(middle[None], *limits, arm.joint_types)[0] - middle
+        # 2 % of a joint's range at either end are left for the corrections of a posture
+        low, high = np.clip(middle + (1.0 - 2.0 * 0.02) * (ends - middle) + turns, *limits)
+        familiar = low, high
     boxes = [limits] if nominal is not None or np.array_equal(familiar, limits) else [familiar, limits]
     where, (tip, *others) = replace(conditions or Conditions(), orientation=turned), arm.chain.tools
     assumed = [f"targets are where measured point {tip} goes, not {', '.join(others)}"] if others else []

@@ -83,16 +83,3 @@ def share_fitted(provenance: Mapping[str, Any], measurements: Measurements) -> f
         return shared_rows(text, measurements)[0]
     ours, theirs = ({*np.atleast_1d(one.get("sha256", [])).tolist()} for one in (provenance, measurements.provenance))
     return float(not ours.isdisjoint(theirs))
-
-
-def familiar_range(arm: Arm) -> tuple[Array, Array]:
-    """(n,) least and largest angles of the identification but for some room, moved by whole turns into the limits; the
-    limits themselves where these are not known."""
-    if (ends := range_of(provenance_of(arm), arm.joint_types)) is None:
-        return arm.lower, arm.upper
-    middle = ends.mean(axis=0)
-    # 2 % of a joint's range at either end are left for the corrections of a posture
-    ends = middle + (1.0 - 2.0 * 0.02) * (ends - middle)
-    moved = ends + turned_into(middle[None], arm.lower, arm.upper, arm.joint_types)[0] - middle
-    lower, upper = np.clip(moved, arm.lower, arm.upper)
-    return lower, upper
