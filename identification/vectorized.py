@@ -8,9 +8,8 @@ parameters is computed per parameter set.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import lru_cache
-from itertools import repeat
 
 import casadi as ca
 import numpy as np
@@ -48,34 +47,22 @@ def vectorize(function: ca.Function) -> Evaluate:
     run, shapes = _compiled(function.serialize()), [function.size_out(i) for i in range(function.n_out())]
 
     def evaluate(*arguments: ArrayLike) -> tuple[np.ndarray, ...]:
-        inputs = [np.asarray(a, dtype=float) for a in arguments]
-        batch = np.broadcast_shapes(*(a.shape[:-1] for a in inputs))
-        # components first: each is written in contiguous runs; structural zeros are zero
-        full = [np.zeros((*shape, *batch)) for shape in shapes]
-        for part in _parts(batch):
-            run([*map(_components, inputs, repeat(part))], [array[:, :, *part] for array in full])
-        return tuple(array.transpose(*range(2, array.ndim), 0, 1) for array in full)
+        # components first: each is written in contiguous runs
+        inputs = [a.transpose(-1, *range(a.ndim - 1)) for a in (np.asarray(a, dtype=float) for a in arguments)]
+        batch = np.broadcast_shapes(*(a.shape[1:] for a in inputs))
+        sizes = batch or (1,)
+        inputs = [a.reshape(len(a), *[1] * (1 + len(sizes) - a.ndim), *a.shape[1:]) for a in inputs]
+        full = [np.zeros((*shape, *sizes)) for shape in shapes]  # structural zeros are zero
+        # cut along the longest axis into parts whose arrays stay in the processor's cache; axes that broadcast stay
+        axis, longest = sizes.index(max(sizes)), max(sizes)
+        rows = max(1, PART * longest // max(1, math.prod(sizes)))
+        for start in range(0, longest, rows):
+            part = (*[slice(None)] * axis, slice(start, start + rows))
+            run([[*(a[:, *part] if a.shape[1 + axis] > 1 else a)] for a in inputs], [y[:, :, *part] for y in full])
+        outputs = (y.reshape(*y.shape[:2], *batch) for y in full)
+        return tuple(y.transpose(*range(2, y.ndim), 0, 1) for y in outputs)
 
     return evaluate
-
-
-def _parts(batch: tuple[int, ...]) -> Iterator[tuple[slice, ...]]:
-    """The batch cut along its longest axis into parts whose arrays stay in the processor's cache; (): all of it."""
-    if (total := math.prod(batch)) <= PART:
-        yield ()
-        return
-    axis = int(np.argmax(batch))
-    rows = max(1, PART * batch[axis] // total)
-    for start in range(0, batch[axis], rows):
-        yield tuple(slice(start, start + rows) if k == axis else slice(None) for k in range(len(batch)))
-
-
-def _components(array: np.ndarray, part: tuple[slice, ...]) -> list[np.ndarray]:
-    """What a part of the batch needs of an argument, along the last axis; axes that broadcast stay."""
-    if part:
-        axes = part[len(part) - (array.ndim - 1) :]
-        array = array[tuple(one if size > 1 else slice(None) for one, size in zip(axes, array.shape[:-1], strict=True))]
-    return list(array.transpose(-1, *range(array.ndim - 1)))
 
 
 @lru_cache(maxsize=128)
