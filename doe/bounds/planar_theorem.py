@@ -16,7 +16,7 @@ import numpy as np
 from doe.bounds.certificate import Bound
 from doe.problem.model import offered, offers
 from doe.problem.problem import DesignProblem
-from identification import Array, InputError
+from identification import Array, require
 
 
 def applies(problem: DesignProblem) -> bool:
@@ -29,10 +29,8 @@ def applies(problem: DesignProblem) -> bool:
 
 def closed_form_log_det(problem: DesignProblem) -> float:
     """Largest log det M' of any design within the joint limits. Raises `InputError` where `applies` is False."""
-    if not applies(problem):
-        raise InputError(
-            "closed form: this model or criterion has none, allowed: D with lengths, offsets and base_offset"
-        )
+    allowed = "D with lengths, offsets and base_offset"
+    require(applies(problem), f"closed form: this model or criterion has none, allowed: {allowed}")
     joints = list(offered(problem.model, "theorem_joints", "closed form"))
     ranges = np.minimum(problem.upper[joints] - problem.lower[joints], np.pi)
     return float(4.0 * np.sum(np.log(np.sin(ranges / 2.0))))

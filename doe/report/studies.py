@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 
 from doe.studies.blind.cells import TABLE
-from doe.studies.blind.study import ALL, OUTCOMES, OUTSIDE
+from doe.studies.blind.study import ALL, OUTCOMES, OUTSIDE, of_share
 from doe.studies.comparison import PROBLEM, SETTING, summary, with_hits
 from doe.studies.monte_carlo import CELL
 from identification.document import Sheet
@@ -133,7 +133,7 @@ def with_error(row: dict[str, Any] | None) -> str:
 def reliability_figure(rows: pl.DataFrame) -> Figure:
     """Reliability diagram: share right against stated probability, bars of two standard errors, and number of sets."""
     stated, right, count = (rows[name].to_numpy() for name in ("said", "right", "count"))
-    error = 2.0 * np.sqrt(np.maximum(right * (1.0 - right), 0.25 / count) / count)
+    error = 2.0 * of_share(right, count)
     figure = Figure(figsize=(5.0, 5.6), layout="constrained")
     axes, below = figure.subplots(2, 1, sharex=True, height_ratios=(4, 1))
     axes.plot([0.0, 1.0], [0.0, 1.0], color="gray", linewidth=1.0, label="as often as stated")

@@ -24,7 +24,7 @@ from doe.plan.ascent import PlanAscent
 from doe.problem.postures import listed_candidates, random_postures
 from doe.problem.problem import DesignProblem, information_of_each
 from doe.solvers.solver import Budget, Offer
-from identification import Array, InputError
+from identification import Array, require
 
 IMPROVEMENT = 1e-9  # smaller gains of a single exchange are rounding
 
@@ -63,10 +63,8 @@ class Exchange:
         if choices is not None:
             postures = listed_candidates(problem, choices)
             postures = postures if repeats else np.unique(postures, axis=0)
-            if not repeats and len(postures) < runs:
-                raise InputError(
-                    f"runs: found {runs}, allowed: up to {len(postures)}, the different postures to choose from"
-                )
+            allowed = f"up to {len(postures)}, the different postures to choose from"
+            require(repeats or len(postures) >= runs, f"runs: found {runs}, allowed: {allowed}")
         # one by one where there is a prior over many effects: a start takes seconds, and a time limit is to find some;
         # runs of all starts, at most: keeps memory and time of a batch small
         most = 5 if many else self.batch

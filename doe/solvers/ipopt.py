@@ -29,7 +29,7 @@ from doe.plan.ascent import PlanAscent
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem
 from doe.solvers.solver import Budget, Offer
-from identification import Array, InputError
+from identification import Array, require
 
 
 @dataclass(frozen=True)
@@ -45,10 +45,8 @@ class Ipopt:
     def offers(self, problem: DesignProblem, runs: int, generator: Generator, budget: Budget) -> Iterator[Offer]:
         """One offer per start. Raises `InputError` for a plan of too many variables."""
         most = 5000  # variables, whose second derivatives are dense: 0.2 GB, and 10 s for each step
-        if (many := runs * len(problem.searched_joints)) > most:
-            raise InputError(
-                f"runs: {runs} postures are {many} variables for ipopt, allowed: at most {most}; leave --solver out"
-            )
+        many, allowed = runs * len(problem.searched_joints), f"at most {most}; leave --solver out"
+        require(many <= most, f"runs: {runs} postures are {many} variables for ipopt, allowed: {allowed}")
         climb = Climber(problem, runs, budget)
         while True:
             yield Offer(climb(random_postures(problem, runs, generator)), 1, independent=True)

@@ -234,10 +234,8 @@ def check_runs(problem: DesignProblem, runs: int) -> None:
     """
     if isinstance(runs, bool) or not isinstance(runs, int | np.integer):
         raise InputError(f"runs: {runs!r:.40}, allowed: a whole number")
-    if runs < problem.fewest_runs:
-        raise InputError(
-            f"runs: {runs} with {problem.parameters} parameters to identify, allowed: at least {problem.fewest_runs}"
-        )
+    fewest, what = problem.fewest_runs, f"{runs} with {problem.parameters} parameters to identify"
+    require(runs >= fewest, f"runs: {what}, allowed: at least {fewest}")
     if problem.choices is None and problem.minimum_distance > 0.0:
         width = problem.comparable(problem.upper - problem.lower)[list(problem.searched_joints)]
         each = np.floor(width / problem.minimum_distance * (1.0 + 1e-9)) + 1.0

@@ -19,7 +19,7 @@ from identification.arm import Arm
 from identification.arrays import Array, readonly
 from identification.document import Documented
 from identification.documents.diagnosis import detectability_document
-from identification.errors import InputError
+from identification.errors import require
 from identification.estimation.doubts import SPARE
 from identification.estimation.uncertainty import LEVEL_95 as LEVEL
 from identification.gap.blocks import Library, Linearized, hypotheses, linearized
@@ -118,11 +118,8 @@ def detectability(
 
 def require_spare(freedom: int, rows: int) -> None:
     """Raise `InputError` with fewer than `SPARE` residual degrees of freedom."""
-    if freedom < SPARE:
-        raise InputError(
-            f"measurements: {rows} rows leave {freedom} residual degrees of freedom for tests, "
-            f"allowed: at least {SPARE}; measure more postures"
-        )
+    left, allowed = f"{freedom} residual degrees of freedom for tests", f"at least {SPARE}; measure more postures"
+    require(freedom >= SPARE, f"measurements: {rows} rows leave {left}, allowed: {allowed}")
 
 
 def assess(library: Library, problem: Linearized, products: Products, rows: Rows, sigma: float) -> Detectability:

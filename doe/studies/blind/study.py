@@ -290,7 +290,7 @@ def measures(sets: Sequence[Judged], cell: str) -> Iterator[Judged]:
             continue
         mean, n, error = float(np.mean(values)), len(values), inf
         if isinstance(values[0], bool):
-            error = of_share(mean, n)
+            error = float(of_share(mean, n))
         elif measure == "error / geometry":  # half the width of the interval that holds the median in 0.68 of cases
             mean = float(np.median(values))
             ranks = np.clip(0.5 * n + 0.5 * sqrt(n) * np.array([-1.0, 1.0]) - 0.5, 0, n - 1)
@@ -300,9 +300,9 @@ def measures(sets: Sequence[Judged], cell: str) -> Iterator[Judged]:
         yield {"cell": cell, "measure": measure, "value": mean, "standard_error": error, "count": n}
 
 
-def of_share(share: float, count: int) -> float:
-    """Standard error of a share; never claims to be certain: at least that of half a set."""
-    return sqrt(max(share * (1.0 - share), 0.25 / count) / count)
+def of_share(share: Any, count: Any) -> Any:
+    """Standard errors of shares; none claims to be certain: at least that of half a set."""
+    return np.sqrt(np.maximum(share * (1.0 - share), 0.25 / count) / count)
 
 
 def reliability(sets: Sequence[Judged], edges: Sequence[float] = EDGES) -> list[Judged]:
