@@ -181,7 +181,7 @@ def test_table_base_and_tool_say_what_the_fit_does() -> None:
             theta, alpha, beta = np.radians([number[name] for name in ("theta", "alpha", "beta")])
             at = at @ row_of_table(q + theta, number["d"], number["a"], alpha, beta)
         there = (at @ np.append(tool, 1.0))[:3]
-        # lines are rounded to 0.001 mm and deg, 0.01 mm at the reach
+        # lines are rounded to 0.001 mm and deg, which is 0.01 mm at the reach
         np.testing.assert_allclose(there, found.model.position(posture[None], found.parameters)[0], rtol=0, atol=0.03)
 
 

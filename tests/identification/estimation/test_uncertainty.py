@@ -385,9 +385,8 @@ def test_with_a_prior_the_squares_are_those_of_the_prediction_without_the_row() 
         off, covariance = residual[i] - columns[i] @ step, np.eye(d) + columns[i] @ inverse @ columns[i].T
         expected.append(off @ np.linalg.solve(covariance, off))
     squares = np.array(expected) * stats.chi2.median(d) / np.median(expected)
-    basis = np.linalg.qr(np.concatenate([columns.reshape(-1, p), held]))[0]
-    blocks = basis[: m * d].reshape(m, d, -1)
-    found = studentised(residual, blocks, np.ones(m, dtype=bool), basis[m * d :].T @ left)
+    of_data, of_prior = np.split(np.linalg.qr(np.concatenate([columns.reshape(-1, p), held]))[0], [m * d])
+    found = studentised(residual, of_data.reshape(m, d, -1), np.ones(m, dtype=bool), of_prior.T @ left)
     np.testing.assert_allclose(found, squares, rtol=1e-4)  # 1e-6 is added to each covariance
 
 
