@@ -29,14 +29,7 @@ from identification.kinematics.chain import standing_in
 from identification.kinematics.counting import range_of, turned_into
 from identification.kinematics.parameters import REVOLUTE
 from identification.levenberg_marquardt import Index, levenberg_marquardt, newton_ascent
-from identification.measurements import (
-    POINT,
-    REMEMBERED,
-    Conditions,
-    directions_from_order,
-    distances,
-    past_from_order,
-)
+from identification.measurements import POINT, REMEMBERED, Conditions, directions_from_order, distances, past_from_order
 from identification.model import Model
 from identification.model.placed import in_own_frame
 from identification.provenance import check_calibrated, extrapolated, outside, provenance_of

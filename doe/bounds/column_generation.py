@@ -203,12 +203,7 @@ def distinct(postures: Array, tolerance: float = SAME) -> NDArray[np.intp]:
 
 # -- optimal designs over them -----------------------------------------------------------------------------------------
 def column_generation(
-    problem: DesignProblem,
-    candidates: Array,
-    *,
-    runs: int | None = None,
-    tolerance: float = 1e-9,
-    stop: Stop = never,
+    problem: DesignProblem, candidates: Array, *, runs: int | None = None, tolerance: float = 1e-9, stop: Stop = never
 ) -> ApproximateDesign:
     """Optimal weights over a finite candidate set (N, n) of any size.
 

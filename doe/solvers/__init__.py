@@ -6,14 +6,4 @@ from doe.solvers.planar_theory import Analytic
 from doe.solvers.solver import Offer, Solver
 from doe.solvers.solving import SOLVERS, Random, available_solvers, solve
 
-__all__ = [
-    "SOLVERS",
-    "Analytic",
-    "Exchange",
-    "Ipopt",
-    "Offer",
-    "Random",
-    "Solver",
-    "available_solvers",
-    "solve",
-]
+__all__ = ["SOLVERS", "Analytic", "Exchange", "Ipopt", "Offer", "Random", "Solver", "available_solvers", "solve"]

@@ -174,10 +174,7 @@ class NumpyFunction(ca.Callback):
     shorter step."""
 
     def __init__(
-        self,
-        inputs: dict[str, ca.Sparsity],
-        outputs: dict[str, ca.Sparsity],
-        function: Callable[..., list[Array]],
+        self, inputs: dict[str, ca.Sparsity], outputs: dict[str, ca.Sparsity], function: Callable[..., list[Array]]
     ) -> None:
         ca.Callback.__init__(self)
         self.inputs, self.outputs, self.function = list(inputs.items()), list(outputs.items()), function

@@ -24,16 +24,7 @@ from doe.discrimination.t_optimal import discriminate
 from doe.jobs import Key, Row, frame_of, parquet, run_tasks
 from doe.problem.problem import DesignProblem
 from doe.studies.blind.cells import CELLS, SAME_ARM, TABLE, DataSet, data_set, to_be_planned
-from identification import (
-    Arm,
-    Array,
-    InputError,
-    design_model,
-    diagnose,
-    fitted_arm,
-    library,
-    rms_distance,
-)
+from identification import Arm, Array, InputError, design_model, diagnose, fitted_arm, library, rms_distance
 from identification.files.io import write_together
 
 BATCH = SAME_ARM  # sets per task

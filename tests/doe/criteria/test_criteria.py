@@ -9,18 +9,7 @@ from hypothesis import strategies as st
 
 from doe import D, DesignProblem
 from doe.bounds.certificate import ApproximateDesign
-from doe.criteria import (
-    A,
-    Criterion,
-    Ds,
-    DStar,
-    E,
-    I,
-    PowerMean,
-    information_matrix,
-    inverses,
-    log_determinants,
-)
+from doe.criteria import A, Criterion, Ds, DStar, E, I, PowerMean, information_matrix, inverses, log_determinants
 from identification import Arm, Model, Plan, spectrum
 
 P = 6
