@@ -53,13 +53,6 @@ class Products:
     starts: Index
     signs: NDArray[np.bool_]
 
-    def of_blocks(self, blocks: Sequence[int]) -> Products:
-        """Those of a few blocks alone."""
-        chosen, columns = list(blocks), self.columns_of(blocks)
-        starts = np.concatenate([[0], np.cumsum(self.widths[chosen])])
-        gram, right = self.gram[np.ix_(columns, columns)], self.right[columns]
-        return Products(gram, right, self.squares, self.freedom, starts, self.signs[chosen])
-
     @cached_property
     def widths(self) -> Index:
         """(B,) columns of each block."""
@@ -92,11 +85,8 @@ class Products:
         values, parts = np.empty(len(self.right)), np.empty(len(self.right))
         scores, within = state.remaining
         for index, own in zip(self.alike, within, strict=True):
-            if own.shape[1] == 1:
-                values[index], parts[index] = own[:, 0], scores[index]
-            else:
-                values[index], vectors = np.linalg.eigh(own)
-                parts[index] = (scores[index][:, None, :] @ vectors)[:, 0]
+            values[index], vectors = np.linalg.eigh(own)
+            parts[index] = (scores[index][:, None, :] @ vectors)[:, 0]
         squared, starts = np.square(SIZES)[:, None], self.starts[:-1]
         spread = 1.0 + squared * np.maximum(values, 0.0)  # (S, P)
         gains = np.add.reduceat(squared * np.square(parts) / spread, starts, axis=1)  # (S, B)
@@ -162,16 +152,6 @@ class State:
     @cached_property
     def factor(self) -> Array:
         """(k, k) lower Cholesky factor of G_A + D^-2, whose inverse is the coefficients' covariance for unit sigma."""
-        if "larger" in self.computed:  # rows below those taken out take up their columns: L L^T + E E^T = R^T R
-            whole, out = self.computed["larger"]
-            first, below = out.start, len(whole) - out.stop
-            factor = np.zeros((first + below,) * 2, order="F")
-            factor[:first, :first], factor[first:, :first] = whole[:first, :first], whole[out.stop :, :first]
-            if below:
-                under = whole[out.stop :]
-                root = lapack.dtpqrt(0, min(below, 32), under[:, out.stop :].T, under[:, out].T)[0]
-                factor[first:, first:] = (root * np.sign(np.diag(root))[:, None]).T
-            return factor
         inner = self.products.gram[np.ix_(self.columns, self.columns)]
         inner[np.diag_indices(len(inner))] += self.sizes**-2.0
         return np.asarray(lapack.dpotrf(inner.T, lower=1, clean=1, overwrite_a=1)[0]) if self.pairs else inner
@@ -243,9 +223,9 @@ class State:
         # by what V is larger in the block's coefficients, and how they take up a unit of each column
         inner, taken = np.linalg.inv(part[:, out]), part @ self.products.gram[self.columns]
         remaining = self._moved(self.remaining, -inner @ self.mean[out], taken, inner @ taken)
-        computed = {"squares": self.squares + float(self.mean[out] @ inner @ self.mean[out]), "remaining": remaining}
-        computed["larger"] = self.factor, out
-        return State(self.products, self.pairs[:number] + self.pairs[number + 1 :], computed)
+        squares = self.squares + float(self.mean[out] @ inner @ self.mean[out])
+        fewer = self.pairs[:number] + self.pairs[number + 1 :]
+        return State(self.products, fewer, {"squares": squares, "remaining": remaining})
 
     def with_block(self, pair: tuple[int, int] | None) -> State:
         """The set with a further block of the size with this number; None: itself."""

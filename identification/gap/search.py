@@ -95,7 +95,7 @@ class Search:
         nothing = self.products.state()
         tops = [start if start is not None and start.pairs else self._up(nothing), nothing]
         table = self._each(nothing)
-        for block in np.argsort(-np.round(log_sums(table), 9), kind="stable")[:MOST].tolist():
+        for block in np.argsort(-np.round(np.logaddexp.reduce(table, axis=1), 9), kind="stable")[:MOST].tolist():
             if np.isfinite(table[block]).any():  # two that hide each other are seen together
                 pair = single = nothing.with_block((block, int(np.argmax(table[block]))))
                 best = self._likeliest(self._each(single))
@@ -133,7 +133,7 @@ class Search:
 
         first : of those equally likely;  alone : whether the set may be without any
         """
-        odds = log_sums(table)
+        odds = np.logaddexp.reduce(table, axis=1)
         most = np.max(odds, initial=-np.inf)
         if most <= (ROUNDING if alone else -np.inf):
             return None
@@ -143,7 +143,7 @@ class Search:
     def near(self, top: State) -> list[int]:
         """All blocks but those that are together negligible beside a set and in place of one of its blocks."""
         lefts = (self.products.state(), top, *map(top.without, top.blocks))
-        odds = [self.log_odds(left) + log_sums(self._each(left)) for left in lefts]
+        odds = [self.log_odds(left) + np.logaddexp.reduce(self._each(left), axis=1) for left in lefts]
         shares = np.exp(np.minimum(np.max(odds, axis=0) - self.log_odds(top), 0.0))
         order = np.argsort(shares, kind="stable")
         return sorted({*order[np.cumsum(shares[order]) > NEGLIGIBLE * (1.0 + shares.sum())].tolist(), *top.blocks})
@@ -209,15 +209,6 @@ class Search:
             of_size = np.where(self.counted[:, None], alike, -np.log(len(SIZES)))
             self._tables[left.key] = self.products.added(left) + prior[:, None] + of_size
         return self._tables[left.key]
-
-
-def log_sums(table: Array) -> Array:
-    """(B,) log of the sums of the exponentials in each row of (B, S)."""
-    most = np.max(table, axis=1)
-    with np.errstate(divide="ignore"):
-        return np.asarray(
-            most + np.log(np.sum(np.exp(table - np.where(np.isfinite(most), most, 0.0)[:, None]), axis=1))
-        )
 
 
 def log_odds_of_count(count: int) -> float:
