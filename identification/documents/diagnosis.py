@@ -246,7 +246,8 @@ def diagnosis_document(
     # beside something unknown a fit of the names alone is off by what they take of it
     best = diagnosis.predicting if data["verdict"] == "unknown" else named
     undetermined = [name for name, (low, _) in named.limits_95.items() if np.isnan(low)]
-    values = corrected_values(diagnosis.extended_arm(best), best.calibration, unknown=undetermined)
+    extended = diagnosis.extended_arm(best)
+    values = corrected_values(extended, extended.calibration, unknown=undetermined)
     title = "Corrected values, not confirmed" if refuted(data) else "Corrected values"
     sections.append(fits.corrected_section(title, values, folded=refuted(data)))
     sections.append(Section("Signed error against each joint", [picture("signed_of")]))

@@ -22,7 +22,6 @@ from identification.model import Model
 from identification.model.placed import SESSIONS
 
 FAITHFUL = 0.01  # numerical: of an error curve, by which its table may miss it in the root mean square
-COLUMNS = ("angle_deg", "correction_deg", "std_deg", "error_deg")
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,8 +233,9 @@ class Curve:
             correction = -self.table.at(self.angles + correction)
         start, stop, length = np.degrees([self.table.start, self.table.stop, self.table.spacing]).tolist()
         head = {"joint": self.joint, "from_deg": start, "to_deg": stop, "length_deg": length, "shape": shape}
-        columns = np.degrees([self.angles, correction, self.std, self.error]).round(7).tolist()
-        return {**head, "waves": waves, **dict(zip(COLUMNS, columns, strict=True))}
+        columns = {"angle": self.angles, "correction": correction, "std": self.std, "error": self.error}
+        table = {f"{name}_deg": np.degrees(column).round(7).tolist() for name, column in columns.items()}
+        return {**head, "waves": waves, **table}
 
 
 def shape_and_waves(angles: Array, error: Array, std: Array) -> tuple[str, list[dict[str, Any]]]:

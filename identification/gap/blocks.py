@@ -379,15 +379,10 @@ class Linearized:
 
     def of(self, kept: Sequence[int]) -> Linearized:
         """That of a few blocks alone."""
-        every, chosen, place = self.products, list(kept), self.products.columns_of(kept)
-        starts = np.concatenate([[0], np.cumsum(every.widths[chosen])])
-        products = replace(
-            every, gram=every.gram[np.ix_(place, place)], right=every.right[place], starts=starts, signs=every.signs[chosen]
-        )
-        blocks, roots, columns = (tuple(each[b] for b in chosen) for each in (self.blocks, self.roots, self.columns))
-        return replace(
-            self, blocks=blocks, products=products, roots=roots, response=self.response[:, place], columns=columns
-        )
+        blocks, roots = tuple(self.blocks[b] for b in kept), tuple(self.roots[b] for b in kept)
+        columns = tuple(self.columns[b] for b in kept)
+        response = self.response[:, self.products.columns_of(kept)]
+        return Linearized(blocks, self.products.of_blocks(kept), roots, response, self.base, self.normal, columns)
 
     @cached_property
     def numbers(self) -> dict[str, int]:

@@ -40,13 +40,13 @@ class Confirmation:
 
     transfer : origin of these rows: `other postures`, `a later time`, `another session` ..
     by : `holdout` or `cross-validation`;  rows, groups : number of rows and of independent groups
-    p_shrinks, p_exceeds : one-sided p-values of "the gap does not shrink" and of "the gap is as predicted"
+    p_shrinks, p_exceeds : one-sided p-values of "the gap does not shrink", None where no effect was named, so that it
+        does not have to, and of "the gap is as predicted"
     shrinks, as_predicted : conclusions; None where the rows are too few
     file : that the rows come from, where only its order numbers tell that they are another session; else None
     before_mm, after_mm : RMS distance of base and tested model in these rows;  predicted_mm : expected `after_mm`
     max_before_mm, max_after_mm : distances of the row that is farthest off
     refitted : what was fitted to these rows first, since they are of another set-up: `base`, `reflector C`
-    named : False if no effect was named, so that no gap has to shrink
     """
 
     transfer: str
@@ -64,19 +64,17 @@ class Confirmation:
     max_before_mm: float
     max_after_mm: float
     refitted: tuple[str, ...]
-    named: bool
 
     @property
     def confirmed(self) -> bool | None:
         """Overall conclusion; None where the rows are too few."""
         if self.shrinks is False or self.as_predicted is False:
             return False
-        return self.shrinks if self.named else self.as_predicted
+        return self.as_predicted if self.p_shrinks is None else self.shrinks
 
     def to_json(self) -> dict[str, object]:
         """Key `confirmation`, and an entry of `cross_validation` (identification/files/README.md, "JSON keys")."""
-        entry = {name: value for name, value in vars(self).items() if name not in ("refitted", "named")}
-        return entry | {"confirmed": self.confirmed, "refitted": [*self.refitted]}
+        return vars(self) | {"confirmed": self.confirmed, "refitted": [*self.refitted]}
 
 
 def confirm(
@@ -121,7 +119,7 @@ def confirm(
     squared = {"before": np.mean(squares), "after": np.mean(left), "predicted": predicted.value}
     squared |= {"max_before": squares.max(), "max_after": left.max()}
     answers |= {f"{name}_mm": float(np.sqrt(square)) for name, square in squared.items()}
-    return Confirmation(transfer, by, m, groups, **answers, file=file, refitted=refitted, named=named)
+    return Confirmation(transfer, by, m, groups, **answers, file=file, refitted=refitted)
 
 
 class Gap(NamedTuple):

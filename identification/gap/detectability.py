@@ -24,7 +24,7 @@ from identification.estimation.doubts import SPARE
 from identification.estimation.uncertainty import LEVEL_95 as LEVEL
 from identification.gap.blocks import Library, Linearized, hypotheses, linearized
 from identification.gap.fit import Rows, fit
-from identification.gap.likelihood import Index, Products, orthonormal
+from identification.gap.likelihood import Index, orthonormal
 from identification.information import VISIBLE
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
@@ -112,8 +112,7 @@ def detectability(
     library = hypotheses(arm, frozenset({"temperature"} & {*stated}), rows)
     exact = fit(library.base, rows, {})
     require_spare(exact.freedom, len(rows))
-    problem = linearized(library, exact, outside=False)
-    return assess(library, problem, problem.products, rows, rows.sigma or sigma)
+    return assess(library, linearized(library, exact, outside=False), rows, rows.sigma or sigma)
 
 
 def require_spare(freedom: int, rows: int) -> None:
@@ -122,11 +121,9 @@ def require_spare(freedom: int, rows: int) -> None:
     require(freedom >= SPARE, f"measurements: {rows} rows leave {left}, allowed: {allowed}")
 
 
-def assess(library: Library, problem: Linearized, products: Products, rows: Rows, sigma: float) -> Detectability:
-    """Detectability of the library's effects in the rows of a problem.
-
-    products : of the problem, beside rows that are left out;  sigma : of one whitened coordinate [mm]
-    """
+def assess(library: Library, problem: Linearized, rows: Rows, sigma: float) -> Detectability:
+    """Detectability of the library's effects in the rows of a problem;  sigma : of one whitened coordinate [mm]"""
+    products = problem.products
     sizes, widths = np.array([column.shape[2] for column in problem.columns]), products.widths
     # of each effect that can be seen in all combinations of its parameters: the least length of a unit of them [mm],
     # projected off the base model, as a fraction and beside the longest before, and how far a unit moves the tip
@@ -166,7 +163,7 @@ def assess(library: Library, problem: Linearized, products: Products, rows: Rows
             plain[block.key] = k
     fractions = readonly([0.0 if k is None else fraction[k] for k in plain.values()])
     columns = [products.columns_of([] if k is None else [k]) for k in plain.values()]
-    likeness = readonly(likenesses(problem.products.gram, columns))
+    likeness = readonly(likenesses(products.gram, columns))
     about = library.skipped, library.aliases
     return Detectability(tuple(plain), fractions, likeness, detectable, products.freedom, *about)
 

@@ -36,7 +36,7 @@ from identification.information import spectrum
 from identification.inspection.readings import gap_notes
 from identification.measurements import Measurements, rms_distance
 from identification.model import Model
-from identification.model.placed import with_base, with_sessions, without_sessions
+from identification.model.placed import with_base, with_sessions
 from identification.running import Progress, Status, single_thread
 
 
@@ -86,9 +86,8 @@ def diagnose(
     kept[[b.row for b in best.blocks if b.row is not None]] = False
     if not kept.all():
         base = fit(library.base, rows.pick(kept))
-    products = whole.products.conditioned_on(
-        [whole.numbers[block.label] for block in best.blocks if block.row is not None]
-    )
+    out = [whole.numbers[block.label] for block in best.blocks if block.row is not None]
+    shows = replace(whole, products=whole.products.conditioned_on(out))
 
     # what predicts best, and what it leaves
     predicting = averaged(posterior, int(kept.sum()) * rows.dimension)
@@ -139,7 +138,7 @@ def diagnose(
     # what these rows show
     sigma = library.arm.sigma if measurements.sigma is None else measurements.sigma[kept]
     floor = noise_floor(after, measurements, kept, sigma)
-    sees = assess(library, whole, products, posterior.noises[0].rows, predicting.sigma)
+    sees = assess(library, shows, posterior.noises[0].rows, predicting.sigma)
     place = likely.place if unknown else None
     curves = tuple(c for c in predicting.curves if c.joint in {b.span[0] + 1 for b in shown.blocks if b.span})
     forms = (b.effect.summary for b in shown.outside if b.effect is not None and b.place == place)
@@ -154,7 +153,8 @@ def diagnose(
     freedom = np.full(len(predicting.values), float(predicting.freedom))
     average = as_calibration(predicting, predicting.covariance, freedom, base.rows.postures)
     result = Diagnosis(
-        arm=library.arm,
+        arm=arm if arm is one_session else with_base(one_session),
+        in_sessions=library.arm,
         measurements=measurements,
         residuals_before=readonly(before),
         residuals_after=readonly(after),
@@ -162,7 +162,7 @@ def diagnose(
         candidates=tuple(candidates) if likely.rivals or (unknown and named.effects) else (),
         named=named,
         predicting=replace(named, specs=predicting.specs, calibration=average),
-        aliases=look_alikes(whole, sees, {label for one in candidates for label in one.effects}),
+        aliases=look_alikes(shows, sees, {label for one in candidates for label in one.effects}),
         shape=shape,
         scatter=(*scatter, *(finding for finding in repeats if finding.name not in {f.name for f in scatter})),
         outlier_rows=tuple(numbers[~kept].tolist()),
@@ -188,14 +188,7 @@ def diagnose(
     )
     result = replace(result, notes=tuple(notes(result, posterior, measurements, fitted, alone)))
     progress(1.0, 1.0, result.sentence)
-    if arm is one_session:
-        return result
-    first, average_there, *others = (  # of several sessions, with the base of the first one only
-        replace(one, calibration=without_sessions(one.calibration))
-        for one in (result.named, result.predicting, *result.candidates)
-    )
-    there = replace(result, named=first, predicting=average_there, candidates=tuple(others), in_sessions=result)
-    return replace(there, arm=with_base(one_session))
+    return result
 
 
 def check_input(arm: object, measurements: Measurements, holdout: Measurements | None) -> None:

@@ -53,6 +53,13 @@ class Products:
     starts: Index
     signs: NDArray[np.bool_]
 
+    def of_blocks(self, blocks: Sequence[int]) -> Products:
+        """Those of a few blocks alone."""
+        chosen, columns = list(blocks), self.columns_of(blocks)
+        starts = np.concatenate([[0], np.cumsum(self.widths[chosen])])
+        gram, right = self.gram[np.ix_(columns, columns)], self.right[columns]
+        return Products(gram, right, self.squares, self.freedom, starts, self.signs[chosen])
+
     @cached_property
     def widths(self) -> Index:
         """(B,) columns of each block."""

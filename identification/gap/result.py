@@ -33,6 +33,7 @@ from identification.kinematics.chain import CorrectedGeometry
 from identification.kinematics.counting import joint_range
 from identification.measurements import Conditions, Measurements, repeats_of
 from identification.model import Model
+from identification.model.placed import without_sessions
 
 Names = tuple[str, ...]
 
@@ -243,10 +244,11 @@ class Diagnosis(Documented):
     replication : entries of that key, one for each named effect;  curves : error curves of joints in the best set
     warnings : doubts about data and fit, to be read before the verdict;  notes : remarks
     offered : the extended model beside the geometry alone, None where it was not judged (`validate.judged`)
-    in_sessions : the same with the bases of all sessions, where there are several
+    in_sessions : the arm as it was fitted, with the bases of all sessions where there are several
     """
 
     arm: Arm
+    in_sessions: Arm
     measurements: Measurements
     residuals_before: Array
     residuals_after: Array
@@ -271,7 +273,6 @@ class Diagnosis(Documented):
     curves: tuple[Curve, ...] = ()
     unexplained_rows: tuple[int, ...] = ()
     offered: Mapping[str, Any] | None = None
-    in_sessions: Diagnosis | None = None
 
     @property
     def verdict(self) -> str:
@@ -315,10 +316,12 @@ class Diagnosis(Documented):
         answer = None if self.confirmation is None else self.confirmation.confirmed
         return None if answer and self.misfit is not None and self.misfit.significant else answer
 
-    def extended_arm(self, candidate: Candidate | None = None) -> Arm:
+    def extended_arm(self, candidate: Candidate | None = None, in_sessions: bool = False) -> Arm:
         """The arm with the effects of the predicting model (or of `candidate`) added, calibrated by it: all estimates,
-        with the verdict, its rivals and its confirmation as provenance."""
-        chosen, chain = candidate or self.predicting, self.arm.chain
+        with the verdict, its rivals and its confirmation as provenance; where it stood in the first session, or in all
+        of them."""
+        chosen, arm = candidate or self.predicting, self.in_sessions if in_sessions else self.arm
+        fitted = chosen.calibration if in_sessions else without_sessions(chosen.calibration)
         entries: dict[str, Any] = {name: value for name, value in self.measurements.origin.items() if name != "rows"}
         entries |= {"verdict": self.verdict, "sentence": self.sentence}
         better = None if self.offered is None else self.offered["better"]
@@ -326,13 +329,13 @@ class Diagnosis(Documented):
         entries |= {name: value for name, value in optional.items() if value is not None}
         entries["delta_bic"] = {c.title: c.delta_bic for c in self.candidates if c.effects}
         entries["probability"] = self.probability
-        provenance = MappingProxyType({**chosen.calibration.provenance, **entries})
+        provenance = MappingProxyType({**fitted.provenance, **entries})
         # with the values that a fit of a `practical` spatial arm took as they were, and where base and points are
-        kept = {} if self.arm.calibration is None else self.arm.calibration.values
-        values = {name: kept.get(name, 0.0) for name in sorted(chain.fixed)} | dict(chosen.calibration.values)
-        places = CorrectedGeometry(chain, values).places
-        calibration = replace(chosen.calibration, provenance=provenance, values=values, **places)
-        return replace(self.arm, effects=(*self.arm.effects, *chosen.specs), calibration=calibration)
+        kept = {} if arm.calibration is None else arm.calibration.values
+        values = {name: kept.get(name, 0.0) for name in sorted(arm.chain.fixed)} | dict(fitted.values)
+        places = CorrectedGeometry(arm.chain, values).places
+        calibration = replace(fitted, provenance=provenance, values=values, **places)
+        return replace(arm, effects=(*arm.effects, *chosen.specs), calibration=calibration)
 
     def predictions(
         self, postures: Array, payload: Array | None, directions: Array
@@ -340,11 +343,11 @@ class Diagnosis(Documented):
         """What each candidate predicts at postures (N, n) at the end of the last session, with payloads (N,) [kg],
         None: that of the arm, and directions of approach (N, n) as the controller counts: positions (N, d), Jacobians
         (N, d, p), the covariance (p, p) of the parameters, fitted to the data at hand, and their scales (p,)."""
-        whole, last = self.in_sessions or self, np.full(len(postures), self.measurements.numbers("session").max())
+        last = np.full(len(postures), self.measurements.numbers("session").max())
         of_joints = np.nan_to_num(self.arm.counting.signs_of_columns(directions, back=True))  # as a file says
         conditions = Conditions(payload, None, np.full(len(postures), 0.5), of_joints, last.astype(float))
-        for candidate in whole.candidates:
-            model, fit = Model(whole.extended_arm(candidate)), candidate.calibration
+        for candidate in self.candidates:
+            model, fit = Model(self.extended_arm(candidate, in_sessions=True)), candidate.calibration
             if fit.covariance is None:
                 raise InputError("diagnosis: a candidate has no covariance, allowed: the result of diagnose()")
             order = [fit.parameter_names.index(name) for name in model.names]
@@ -361,7 +364,6 @@ class Diagnosis(Documented):
         # further sets of effects that are not negligible
         listed, likely = {tuple(sorted(c.keys)) for c in self.candidates}, self.probabilities
         others = {names: p for names, p in likely.sets.items() if p >= NEGLIGIBLE and names not in listed}
-        others = dict(sorted(others.items(), key=lambda pair: -pair[1]))
         lists = ("warnings", "effects", "outlier_rows", "unexplained_rows", "notes")
         data: dict[str, Any] = {name: getattr(self, name) for name in ("verdict", "where", "shape", "confirmed")}
         data |= {name: list(getattr(self, name)) for name in lists}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -91,7 +93,7 @@ def test_effects_beside_rows_that_are_left_out(effects: tuple[str, ...]) -> None
     without, there = (np.sum(left(y, columns) ** 2) for columns in (base, np.hstack([base, own])))
     gain = beside.right[places] @ np.linalg.solve(beside.gram[np.ix_(places, places)], beside.right[places])
     assert (beside.freedom, beside.squares, gain) == pytest.approx((50, without, without - there), rel=1e-4)
-    sees = assess(library, problem, beside, rows, 0.1)
+    sees = assess(library, replace(problem, products=beside), rows, 0.1)
     assert sees.freedom == 50
     size = sees.detectable["gear_ratio:2"].value
     column = problem.columns[problem.numbers["gear_ratio:2"]][kept].reshape(56, 1)
