@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from doe.bounds.certificate import CERTIFIED, NUMERICAL, PROVEN, Bound
+from doe.bounds.certificate import CERTIFIED, NUMERICAL, PROVEN, Bound, PlanOfProblem
 from doe.bounds.column_generation import best_known_bound, bound_that_holds
 from doe.bounds.planar_theorem import table_1_max_residual
-from doe.criteria import D
 from doe.plan.accuracy import ExpectedDeviations, error_at_poses, plan_jacobians
 from doe.problem.model import turns
 from doe.problem.problem import DesignProblem
@@ -22,8 +21,8 @@ from identification import Array, InputError, Plan, Status, spectrum
 BEST_KNOWN = "best known"  # what a plan is of which no bound says that it is optimal
 
 
-@dataclass(frozen=True)
-class Design:
+@dataclass(frozen=True, repr=False)
+class Design(PlanOfProblem):
     """A plan with its certificate.
 
     problem : what it was made or judged for;  plan : the postures, in the order of measurement
@@ -32,8 +31,6 @@ class Design:
     solver, starts, seconds : what was spent on it
     """
 
-    problem: DesignProblem
-    plan: Plan
     bound: Bound | None = None
     status: Status = Status.scored
     solver: str | None = None
@@ -44,16 +41,6 @@ class Design:
     def information(self) -> Array:
         """(p, p) M' of the plan."""
         return self.problem.information(self.plan.postures, self.plan.weights)
-
-    @cached_property
-    def value(self) -> float:
-        """Criterion value, -inf if the plan cannot identify all parameters."""
-        return float(self.problem.criterion.value(self.information))
-
-    @cached_property
-    def log_det(self) -> float:
-        """log det M' (doe/README.md, "Information matrix"), whatever the criterion."""
-        return float(D().value(self.information))
 
     @cached_property
     def not_identifiable(self) -> tuple[str, ...]:
@@ -182,11 +169,6 @@ class Design:
             f"{len(self.plan)} runs of a {self.plan.links}-link arm, {self.problem.criterion.name} = {value:.8g} "
             f"({efficiency}{optimal})\n  bound {self.bound or 'none'}\n  {self.status.name}: {self.status.value}"
         )
-
-    __repr__ = __str__
-
-    def _repr_html_(self) -> str:
-        return self.plan.to_html(self)
 
 
 def score(problem: DesignProblem, plan: Plan | ArrayLike, bound: Bound | None = None) -> Design:

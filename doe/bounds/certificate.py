@@ -80,11 +80,40 @@ class Bound:
         return f"{round(self.value, 12) + 0.0:.10g} ({self.words})"
 
 
-@dataclass(frozen=True)
-class ApproximateDesign:
-    """Weights on postures: the plan, what a search over a design space says of it, and what that proves.
+@dataclass(frozen=True, repr=False)
+class PlanOfProblem:
+    """A plan for a problem, and what its information, recomputed from these, is worth."""
 
-    prior : per new run;  plan : the support and its weights
+    problem: DesignProblem
+    plan: Plan
+
+    @property
+    def information(self) -> Array:
+        """(p, p) M' of the plan."""
+        raise NotImplementedError
+
+    @cached_property
+    def value(self) -> float:
+        """Criterion value, -inf if the plan cannot identify all parameters."""
+        return float(self.problem.criterion.value(self.information))
+
+    @cached_property
+    def log_det(self) -> float:
+        """log det M' (doe/README.md, "Information matrix"), whatever the criterion."""
+        return float(D().value(self.information))
+
+    def __repr__(self) -> str:
+        return str(self)
+
+    def _repr_html_(self) -> str:
+        return self.plan.to_html(self)
+
+
+@dataclass(frozen=True, repr=False)
+class ApproximateDesign(PlanOfProblem):
+    """Weights on postures, what a search over a design space says of this plan, and what that proves.
+
+    prior : per new run
     dual : (p, p) gradient from a dual problem, None: the criterion's own at the plan. E-optimality needs one: any
         gradient of unit trace gives a bound there, and that of the dual problem the lowest
     largest : no less than max tr(G F) over the design space, inf: not all of it was visited
@@ -94,9 +123,7 @@ class ApproximateDesign:
     status : how the search ended, by the gap that is left
     """
 
-    problem: DesignProblem
     prior: PriorInformation
-    plan: Plan
     dual: Array | None = None
     largest: float = np.inf
     candidates: int | None = None
@@ -113,7 +140,7 @@ class ApproximateDesign:
         """The plan of postures (k, n) with weights (k,), made to sum to one, without those that carry none."""
         order = np.argsort(-weights, kind="stable")[: np.count_nonzero(weights)]
         plan = Plan(postures[order], weights[order] / weights[order].sum(), problem.model.joint_types)
-        return cls(problem, prior, plan, dual)
+        return cls(problem, plan, prior, dual)
 
     def certified(self, largest: float, goal: float, *, cut: bool, **changes: Any) -> ApproximateDesign:
         """The same with a certificate: `largest` >= max tr(G F) over the design space.
@@ -139,11 +166,6 @@ class ApproximateDesign:
     def level(self) -> float:
         """tr(G M), what the largest sensitivity is compared with."""
         return float(np.sum(self.gradient * self.information))
-
-    @cached_property
-    def value(self) -> float:
-        """Criterion value of the plan."""
-        return float(self.problem.criterion.value(self.information))
 
     @cached_property
     def upper(self) -> float:
@@ -182,11 +204,6 @@ class ApproximateDesign:
         source = "continuous" if self.candidates is None else "grid"
         return Bound(self.upper, source, self.rigorous, cut, self.candidates, self.unconstrained)
 
-    @property
-    def log_det(self) -> float:
-        """log det M', whatever the criterion."""
-        return float(D().value(self.information))
-
     def to_json(self) -> dict[str, Any]:
         """Keys of `relax` (identification/files/README.md, "JSON keys"); angles in degrees.
 
@@ -215,8 +232,3 @@ class ApproximateDesign:
             f"{self.seconds:.3g} s)\n  value {self.value:.10g}, bound {self.bound or 'none'}, gap {self.gap:.2g}, "
             f"efficiency >= {self.efficiency_lower_bound:.10g}\n  {self.status.name}: {self.status.value}"
         )
-
-    __repr__ = __str__
-
-    def _repr_html_(self) -> str:
-        return self.plan.to_html(self)

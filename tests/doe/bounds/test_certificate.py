@@ -29,7 +29,7 @@ def judged(case: DesignProblem, plan: Plan, candidates: Array, status: Status = 
     prior = case.prior.per_new_run(len(plan))
     gradient = case.criterion.gradient(case.information(plan.postures, plan.weights))
     largest = float(CandidateSet(case, candidates, prior).sensitivities(gradient).max())
-    return ApproximateDesign(case, prior, plan, None, largest, len(candidates), True, status, "done", "by hand", 0.5)
+    return ApproximateDesign(case, plan, prior, None, largest, len(candidates), True, status, "done", "by hand", 0.5)
 
 
 @pytest.mark.parametrize("smallest", [1.0, 0.0])
@@ -53,7 +53,7 @@ def test_a_pass_that_was_given_up_proves_nothing() -> None:
     case, plan = problem(FOUR), Plan(np.random.default_rng(0).uniform(FOUR.lower, FOUR.upper, (40, 4)))
     gradient = case.criterion.gradient(case.information(plan.postures))
     given_up = CandidateSet(case, plan.postures, case.prior).sensitivities(gradient, lambda: True)
-    found = ApproximateDesign(case, case.prior, plan).certified(given_up.max(), 1e-6, cut=True)
+    found = ApproximateDesign(case, plan, case.prior).certified(given_up.max(), 1e-6, cut=True)
     assert (found.gap, found.upper, found.efficiency_lower_bound, found.bound) == (np.inf, np.inf, 0.0, None)
     assert found.status is Status.time_limit
     assert found.value == pytest.approx(np.linalg.slogdet(case.information(plan.postures))[1])

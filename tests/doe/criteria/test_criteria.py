@@ -216,7 +216,7 @@ def test_a_singular_plan_proves_no_bound(phi: Criterion) -> None:
     """But of D*, whose two blocks of 4 are regular at 3 postures of 2 coordinates, while M of 8 is not."""
     problem = DesignProblem.of(Model(Arm(np.full(4, 100.0))), criterion=phi)
     postures = np.random.default_rng(0).uniform(-2.0, 2.0, (3, 4))
-    found = ApproximateDesign(problem, problem.prior, Plan(postures), largest=10.0)
+    found = ApproximateDesign(problem, Plan(postures), problem.prior, largest=10.0)
     assert found.value == -np.inf
     assert np.isfinite([found.upper, found.gap]).tolist() == [isinstance(phi, DStar)] * 2
     assert found.efficiency_lower_bound == 0.0
