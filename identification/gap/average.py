@@ -176,19 +176,17 @@ def conditional_covariance(covariance: Array, kept: Index, conditioned: Index) -
     """Covariance of the parameters `kept` once those `conditioned` have their values.
 
     Combinations of these that hardly vary are not conditioned on: what is there of them is rounding, which their
-    inverse would amplify.
+    inverse would amplify. Of a square root R R^T it is what rows have off the others, and so positive semidefinite, as
+    an arm file's covariance is.
     """
-    sizes = np.sqrt(np.diag(covariance)[conditioned].clip(min=0.0))
+    every = np.concatenate([kept, conditioned])
+    sizes = np.sqrt(np.diag(covariance)[every].clip(min=0.0))
     scale = np.where(sizes > 0.0, sizes, np.inf)
-    values, vectors = np.linalg.eigh(covariance[np.ix_(conditioned, conditioned)] / np.outer(scale, scale))
-    seen = values > VISIBLE
-    across = covariance[np.ix_(kept, conditioned)] / scale @ (vectors[:, seen] / np.sqrt(values[seen]))
-    beside = covariance[np.ix_(kept, kept)] - across @ across.T
-    # rounding of the difference is no variance: an arm file's covariance is positive semidefinite
-    sizes = np.sqrt(np.diag(beside).clip(min=0.0))
-    scale = np.where(sizes > 0.0, sizes, np.inf)
-    values, vectors = np.linalg.eigh(beside / np.outer(scale, scale))
-    root = sizes[:, None] * vectors * np.sqrt(values.clip(min=0.0))
+    values, vectors = np.linalg.eigh(covariance[np.ix_(every, every)] / np.outer(scale, scale))
+    root, others = np.split(vectors * np.sqrt(values.clip(min=0.0)), [len(kept)])
+    _, lengths, turn = np.linalg.svd(others, full_matrices=False)
+    fixed = turn[np.square(lengths) > VISIBLE]
+    root = sizes[: len(kept), None] * (root - root @ fixed.T @ fixed)
     return np.asarray(root @ root.T)
 
 

@@ -384,6 +384,14 @@ class Linearized:
         response = self.response[:, self.products.columns_of(kept)]
         return Linearized(blocks, self.products.of_blocks(kept), roots, response, self.base, self.normal, columns)
 
+    def beside(self, blocks: Sequence[int]) -> Linearized:
+        """All beside blocks too large for anything else to explain them: as if they were of the base model."""
+        every, large = self.products, self.products.state([(block, len(SIZES) - 1) for block in blocks])
+        rows, freedom = every.gram[large.columns], every.freedom - len(large.columns)
+        gram = every.gram - rows.T @ large.solve(rows)
+        left = replace(every, gram=gram, right=large.remaining[0], squares=large.squares, freedom=freedom)
+        return replace(self, products=left)
+
     @cached_property
     def numbers(self) -> dict[str, int]:
         """Label of each block -> its number."""

@@ -86,8 +86,7 @@ def diagnose(
     kept[[b.row for b in best.blocks if b.row is not None]] = False
     if not kept.all():
         base = fit(library.base, rows.pick(kept))
-    out = [whole.numbers[block.label] for block in best.blocks if block.row is not None]
-    shows = replace(whole, products=whole.products.conditioned_on(out))
+    shows = whole.beside([whole.numbers[block.label] for block in best.blocks if block.row is not None])
 
     # what predicts best, and what it leaves
     predicting = averaged(posterior, int(kept.sum()) * rows.dimension)

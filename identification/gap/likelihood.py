@@ -80,13 +80,6 @@ class Products:
         """The set of these blocks with the numbers of their sizes."""
         return State(self, tuple(pairs))
 
-    def conditioned_on(self, blocks: Sequence[int]) -> Products:
-        """Those beside blocks too large for anything else to explain them: as if they were of the base model."""
-        large = self.state([(block, len(SIZES) - 1) for block in blocks])
-        rows, freedom = self.gram[large.columns], self.freedom - len(large.columns)
-        gram = self.gram - rows.T @ large.solve(rows)
-        return Products(gram, large.remaining[0], large.squares, freedom, self.starts, self.signs)
-
     def added(self, state: State) -> Array:
         """(B, S) log likelihood ratio of each block added to a set, or in it, for each size."""
         values, parts = np.empty(len(self.right)), np.empty(len(self.right))

@@ -135,8 +135,8 @@ def test_same_seed_same_postures_and_payload_is_a_choice() -> None:
 
 def test_directions_are_those_of_files() -> None:
     """As the controller counts: joint 2, which has play, the other way."""
-    arm = replace(ARM, counting=Counting((1, -1, 1), (0, 0, 2), (0.0, 0.0, 0.0)))
-    arm = arm.with_effects(EffectSpec("backlash", 2, {"b": 2e-3}))
+    arm = ARM.with_effects(EffectSpec("backlash", 2, {"b": 2e-3}))
+    arm = replace(arm, counting=Counting((1, -1, 1), (0, 0, 2), (0.0, 0.0, 0.0)))
     found = replace(ambiguous(), arm=arm, in_sessions=arm)
     chosen = discriminate(arm, found, 6, seed=1)
     q, measured = chosen.plan.postures, Conditions(time=np.full(6, 0.5), directions=-chosen.directions)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy import stats
@@ -78,7 +76,7 @@ def test_effects_beside_rows_that_are_left_out(effects: tuple[str, ...]) -> None
     library = hypotheses(ARM, frozenset(), rows)
     at = fit(library.base, rows.pick(kept))
     problem = linearized(library, Fitted(at.model, at.values, rows), out)
-    beside = problem.products.conditioned_on([problem.numbers[f"row:{k}"] for k in out])
+    problem = problem.beside([problem.numbers[f"row:{k}"] for k in out])
     blocks = [problem.numbers[label] for label in effects]
     base = library.base.jacobian(POSTURES, at.values, rows.conditions)[kept].reshape(56, -1)
     own = np.concatenate([problem.columns[k] @ problem.roots[k] for k in blocks], axis=2)[kept].reshape(56, -1)
@@ -87,13 +85,13 @@ def test_effects_beside_rows_that_are_left_out(effects: tuple[str, ...]) -> None
         return y - columns @ np.linalg.lstsq(columns, y, rcond=None)[0]
 
     projected = left(own, base)
-    places = problem.products.columns_of(blocks)
+    beside, places = problem.products, problem.products.columns_of(blocks)
     np.testing.assert_allclose(beside.gram[np.ix_(places, places)], projected.T @ projected, atol=1e-6)
     y = (noisy - library.base.position(POSTURES, at.values, rows.conditions))[kept].ravel()
     without, there = (np.sum(left(y, columns) ** 2) for columns in (base, np.hstack([base, own])))
     gain = beside.right[places] @ np.linalg.solve(beside.gram[np.ix_(places, places)], beside.right[places])
     assert (beside.freedom, beside.squares, gain) == pytest.approx((50, without, without - there), rel=1e-4)
-    sees = assess(library, replace(problem, products=beside), rows, 0.1)
+    sees = assess(library, problem, rows, 0.1)
     assert sees.freedom == 50
     size = sees.detectable["gear_ratio:2"].value
     column = problem.columns[problem.numbers["gear_ratio:2"]][kept].reshape(56, 1)
