@@ -250,8 +250,7 @@ class HeldOut:
         predicted = Mean(scale * left.value + added.value, scale**2 * left.variance + added.variance, left.freedom)
         sigma = float(np.sqrt(scale * left.value / after.shape[1]))
         file, groups = self.rows.provenance.get("file") if self.transfer == SESSION else None, groups_of(self.rows)
-        how = self.transfer, "holdout", LEVEL, named, file, refitted
-        return confirm(before, after, predicted, sigma, groups, *how)
+        return confirm(before, after, predicted, sigma, groups, self.transfer, "holdout", LEVEL, named, file, refitted)
 
 
 # -- each part of the rows predicted from the others -------------------------------------------------------------------
