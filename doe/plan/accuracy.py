@@ -153,7 +153,8 @@ def criterion_of(
         return average_error(problem, poses)
     if name == "Ds":
         require(subset, "criterion: Ds needs a subset (--subset), found none, allowed: one parameter or more")
-        return Ds(tuple(parameters.index(word) for word in subset))
+        InputError.check_names("--subset: unknown parameter", subset, parameters.names)
+        return Ds(tuple(map(parameters.index, subset)))
     plain: dict[str, Criterion] = {"D": D(), "A": A(), "E": E(), "Dstar": DStar.by_unit(parameters.units)}
     InputError.check_names("criterion: unknown name", [name], NAMES)
     return plain[name]

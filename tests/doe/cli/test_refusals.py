@@ -80,6 +80,7 @@ CASES: list[Case] = [
         for words, named in (
             ("8 --discriminating --criterion A", "criterion; A; discriminating; D"),
             ("8 --test-poses plan.csv", "--test-poses; criterion D; criterion I"),
+            ("8 --criterion Ds --subset lenth_error:1", "--subset; unknown parameter 'lenth_error:1'; length_error:1"),
             ("8 --subset length_error:1", "--subset; criterion D; criterion Ds"),
             ("8 --criterion Ds", "--subset; none; one parameter or more"),
             ("8 --candidates far.csv", "far.csv; 0 of 1"),
