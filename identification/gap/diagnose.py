@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from identification.arm import Arm
-from identification.arrays import readonly, rows_in_words
+from identification.arrays import Array, readonly, rows_in_words
 from identification.document import count_of
 from identification.documents.diagnosis import untested
 from identification.errors import InputError
@@ -22,10 +22,10 @@ from identification.estimation.doubts import (
     outside_limits,
 )
 from identification.estimation.problem import check_measurements
-from identification.estimation.repeats import Finding, misfit, noise_floor, repeat_finding
+from identification.estimation.repeats import Finding, Misfit, misfit, noise_floor, repeat_finding
 from identification.estimation.uncertainty import outlying, together
 from identification.gap.across_sessions import replications
-from identification.gap.average import averaged, geometry
+from identification.gap.average import PredictingModel, averaged, geometry
 from identification.gap.blocks import hypotheses
 from identification.gap.confirmation import Gap, HeldOut, cross_validation
 from identification.gap.detectability import assess, look_alikes, require_spare
@@ -88,6 +88,13 @@ def diagnose(
         base = fit(library.base, rows.pick(kept))
     shows = whole.beside([whole.numbers[block.label] for block in best.blocks if block.row is not None])
 
+    def against_sigma(model: PredictingModel, left: Array) -> tuple[PredictingModel, Misfit | None]:
+        """A model with what nothing explains as an error of its own elsewhere, and the test of what it leaves."""
+        over = misfit(left, left[kept].size - model.freedom, measurements, library.arm.sigma, kept)
+        if over is not None and over.significant:
+            model = model.allowing(rows.dimension * model.sigma**2 * (1.0 - over.ratio**-2))
+        return model, over
+
     # what predicts best, and what it leaves
     predicting = averaged(posterior, int(kept.sum()) * rows.dimension)
     before, after = base.residuals(measurements), predicting.residuals(measurements)
@@ -96,11 +103,8 @@ def diagnose(
     with_all, without = (float(np.linalg.norm(weighted.whiten(left[kept]))) for left in (after, before))
     if alone := bool(predicting.specs) and with_all > without:
         predicting, after = geometry(base), before
-    rank = after[kept].size - predicting.freedom
-    repeats = repeat_finding(after, rank, measurements, kept)
-    over_sigma = misfit(after, rank, measurements, library.arm.sigma, kept)
-    if over_sigma is not None and over_sigma.significant:  # what nothing explains is an error of the model elsewhere
-        predicting = predicting.allowing(rows.dimension * predicting.sigma**2 * (1.0 - over_sigma.ratio**-2))
+    repeats = repeat_finding(after, after[kept].size - predicting.freedom, measurements, kept)
+    predicting, over_sigma = against_sigma(predicting, after)
     # residuals that scatter less than the given sigma by chance, as in `estimation.uncertainty`, promise no less noise
     noise_factor = 1.0 if over_sigma is None or over_sigma.p_value > 0.99 else max(1.0, over_sigma.ratio**-2)
 
@@ -128,7 +132,8 @@ def diagnose(
     # tests on other rows
     tests = cross_validation(posterior, measurements, kept, generator, something, noise_factor)
     if tests[0].shrinks is False and tests[0].after_mm > tests[0].before_mm:  # by more than chance
-        alone, predicting, after = True, geometry(base), before
+        alone, after = True, before
+        predicting, over_sigma = against_sigma(geometry(base), before)
     confirmation = None
     if held_out is not None:
         confirmation = held_out.test(base, predicting, measurements, kept, something, noise_factor)
