@@ -231,8 +231,8 @@ class Curve:
             correction = -self.table.at(self.angles + correction)
         start, stop, length = np.degrees([self.table.start, self.table.stop, self.table.spacing]).tolist()
         head = {"joint": self.joint, "from_deg": start, "to_deg": stop, "length_deg": length, "shape": shape}
-        columns = {"angle": self.angles, "correction": correction, "std": self.std, "error": self.error}
-        table = {f"{name}_deg": np.degrees(column).round(7).tolist() for name, column in columns.items()}
+        columns = {"angle_deg": self.angles, "correction_deg": correction, "std_deg": self.std, "error_deg": self.error}
+        table = {name: np.degrees(column).round(7).tolist() for name, column in columns.items()}
         return {**head, "waves": waves, **table}
 
 
