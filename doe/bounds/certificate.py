@@ -120,7 +120,7 @@ class ApproximateDesign(PlanOfProblem):
     candidates : how many postures the design space has, None: all within limits and constraints
     unconstrained : as of `Bound`
     rigorous : whether `largest` is a theorem
-    status : how the search ended, by the gap that is left
+    status : how the search ended, by the gap that is left;  solver_status : as Clarabel or SCS names it
     """
 
     prior: PriorInformation
@@ -129,6 +129,7 @@ class ApproximateDesign(PlanOfProblem):
     candidates: int | None = None
     rigorous: bool = False
     status: Status = Status.almost_solved
+    solver_status: str | None = None
     solver: str = "column_generation"
     seconds: float = 0.0
     unconstrained: bool = False
@@ -222,6 +223,7 @@ class ApproximateDesign(PlanOfProblem):
             **({"joint_units": list(self.plan.units)} if prismatic else {}),
             "solver": self.solver,
             "status": self.status.name,
+            "solver_status": self.solver_status,
             "seconds": self.seconds,
         }
 

@@ -374,7 +374,8 @@ def relax(
         carried = np.where(weights > 1e-7, weights, 0.0)  # interior points give every posture a little
         design = ApproximateDesign.heaviest_first(problem, prior, chosen, carried, dual)
         largest = float(CandidateSet(problem, chosen, prior).sensitivities(design.gradient).max())
-        which = {"candidates": len(chosen), "rigorous": True, "solver": solver}
+        which = {"candidates": len(chosen), "rigorous": True, "solver": solver, "solver_status": ended}
+        # convention: solved to 1e-3, of D an efficiency of .999 at least
         return design.certified(largest, 1e-3, cut=False, seconds=perf_counter() - began, **which)
     except np.linalg.LinAlgError:
         singular = "the candidates' information is singular to rounding; wider joint limits or fewer effects may help"

@@ -339,7 +339,7 @@ def relax_document(design: ApproximateDesign, compared: Sequence[Data] = (), run
         "upper bound": "-" if design.bound is None else str(design.bound),
         f"gap ({'max d - p' if kind == 'D' else 'max tr(G F) - tr(G M)'})": f"{max(design.gap, 0.0):.2g}",
         "efficiency at least": number(design.efficiency_lower_bound, 9),
-        "solver": f"{design.solver}, {design.seconds:.2f} s",
+        "solver": ", ".join(filter(None, [design.solver, design.solver_status, f"{design.seconds:.2f} s"])),
         "status": design.status.value,
     }
     support = Sheet(["weight", *posture_headings(design.plan)], rows, "Support", 24)
