@@ -10,7 +10,7 @@ from identification.document import Action, Document, Pictures, Section, Sheet, 
 from identification.documents import identification as shown
 from identification.documents.pictures import signed_figures, workspace_arrows
 from identification.errors import InputError, require
-from identification.estimation.result import corrected_values, dh_table
+from identification.estimation.result import corrected_values, dh_lines
 from identification.files.arm import load_arm
 from identification.files.csv import read_table
 from identification.files.measurement import Plan, is_plan, load_measurements
@@ -87,7 +87,7 @@ def campaign_document(
     sections = list[Section]()
     for name in sorted(calibrated, key=lambda name: name != model):
         corrected = corrected_values(calibrated[name])
-        rows, places = dh_table(calibrated[name], corrected)
+        rows, places = dh_lines(calibrated[name], corrected)
         sections.append(shown.corrected_section(f"Corrected values: {name}", corrected, folded=name != model))
         sections += [Section(part.title, part.parts, name != model) for part in shown.dh_sections(rows, places, name)]
     sections += [error_section(name, of_models, seen[name]) for name, of_models in tests.items()]

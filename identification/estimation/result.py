@@ -241,9 +241,9 @@ class Identification(Documented):
 
     @cached_property
     def dh(self) -> tuple[tuple[CorrectedValue, ...], list[str]]:
-        """`dh_table` of the arm as identified; empty where something is not estimable, and without an arm."""
+        """`dh_lines` of the arm as identified; empty where something is not estimable, and without an arm."""
         whole = self.arm is not None and not self.not_identifiable
-        return dh_table(self.calibrated_arm(), self.corrected_values) if whole else ((), [])
+        return dh_lines(self.calibrated_arm(), self.corrected_values) if whole else ((), [])
 
     def to_json(self) -> dict[str, Any]:
         """Keys of `identify` (identification/files/README.md, "JSON keys"): file units, null for unknown values."""
@@ -463,19 +463,18 @@ def _tables(chain: KinematicChain, values: Values) -> dict[tuple[str, str], floa
 
 
 # -- the table of Denavit and Hartenberg -------------------------------------------------------------------------------
-def dh_table(arm: Arm, values: Sequence[CorrectedValue]) -> tuple[tuple[CorrectedValue, ...], list[str]]:
+def dh_table(arm: Arm) -> tuple[tuple[CorrectedValue, ...], list[tuple[str, Array]]]:
     """Nominal and corrected numbers of the links between the axes of a calibrated arm, without those drawn by
-    definition; and lines of the pose of the base, of places of the measured points for the last frame of the table, and
-    of those of the corrected values that are the instrument's: with these the table says what the calibration does.
-    Empty without a table that `drawn_links` takes, and without a covariance. In the modified convention a and alpha
-    stand in the row of the next joint.
+    definition; and beside them the pose of the base (4, 4), and places (3,) of the measured points for the last frame
+    of the table, by name: with these the table says what the calibration does. Empty without a table that `drawn_links`
+    takes, and without a covariance. In the modified convention a and alpha stand in the row of the next joint.
     """
     calibration, model, drawn = arm.calibration, Model(arm), tuple[Link, ...]()
     with suppress(InputError):
         drawn = drawn_links(arm.chain.rows, arm.chain.convention)
     if calibration is None or calibration.covariance is None or not drawn:
         return (), []
-    best = {**model.fixed, **calibration.values}
+    values = {**model.fixed, **calibration.values}
 
     def numbers(links: Sequence[Link]) -> dict[tuple[int, str], float]:
         """Joint and name -> number [mm, deg], of parallel axes beta in place of d."""
@@ -489,23 +488,28 @@ def dh_table(arm: Arm, values: Sequence[CorrectedValue]) -> tuple[tuple[Correcte
     def table(at: Values) -> dict[tuple[int, str], float]:
         return numbers(corrected_links(corrected(arm.chain, at), drawn)[0])
 
-    nominal, now = numbers(drawn), table(best)
+    nominal, now = numbers(drawn), table(values)
     names, listed = calibration.parameter_names, list[CorrectedValue]()
-    of = _Spread(best, names, calibration.covariance, freedom_of(calibration), np.zeros((len(names), 0)))
+    of = _Spread(values, names, calibration.covariance, freedom_of(calibration), np.zeros((len(names), 0)))
     slopes = of.slopes(table, arm.chain.every_parameter)  # effects, hundreds with the library, are not in it
     for (j, name), value in now.items():
         row_number = j + (arm.chain.convention != STANDARD and name in ("a", "alpha", "beta"))
         unit, meaning = DH_MEANING[name]
         about = f"row {row_number} {name}", None, nominal[j, name], value, slopes[j, name]
         listed.append(of.row(*about, unit, meaning.format(j=j, k=j + 1)))
-    real, of_instrument = corrected(arm.chain, best), {p.name for p in arm.chain.instrument.parameters}
+    real = corrected(arm.chain, values)
     (_, first, last), (_, drawn_first, drawn_last) = (corrected_links(chain, drawn) for chain in (real, arm.chain))
-    places = {"base": pose_table(real.base @ first @ np.linalg.inv(drawn_first))}
     behind = np.linalg.inv(drawn_last) @ last
-    places |= {f"tool {name}": point_table((behind @ at)[:3, 3]) for name, at in real.tools.items()}
-    lines = [
-        f"{name}: " + ", ".join(f"{key.replace('_', ' [')}] {value:z.3f}" for key, value in place.items())
-        for name, place in places.items()
-    ]
-    touched = (value for value in values if value.parameter in of_instrument)
-    return tuple(listed), [*lines, *(f"{v.name} [{v.unit}]: {v.corrected:z.3f} +- {v.std:.3f}" for v in touched)]
+    tools = [(f"tool {name}", (behind @ at)[:3, 3]) for name, at in real.tools.items()]
+    return tuple(listed), [("base", real.base @ first @ np.linalg.inv(drawn_first)), *tools]
+
+
+def dh_lines(arm: Arm, values: Sequence[CorrectedValue]) -> tuple[tuple[CorrectedValue, ...], list[str]]:
+    """`dh_table` of a calibrated arm, and lines of base, measured points and what the instrument has beside it;
+    values : corrected ones, those of the instrument among them"""
+    (rows, places), lines, own = dh_table(arm), list[str](), {p.name for p in arm.chain.instrument.parameters}
+    for name, at in places:
+        figures = (pose_table(at) if at.ndim == 2 else point_table(at)).items()
+        lines.append(f"{name}: " + ", ".join(f"{key.replace('_', ' [')}] {value:z.3f}" for key, value in figures))
+    touched = [f"{v.name} [{v.unit}]: {v.corrected:z.3f} +- {v.std:.3f}" for v in values if v.parameter in own]
+    return rows, [*lines, *touched] if rows else []

@@ -21,7 +21,6 @@ from identification.estimation.problem import Prior
 from identification.estimation.result import CorrectedValue, corrected_values, dh_table
 from identification.files.arm import load_arm, with_effects
 from identification.kinematics.chain import corrected, corrected_links, drawn_links
-from identification.kinematics.frames import pose
 from tests.identification.estimation.cases import LENGTHS, arm, data, plan
 from tests.identification.kinematics.test_spatial import UR10, row_of_table
 
@@ -169,20 +168,18 @@ def fitted() -> Identification:
 
 def test_table_base_and_tool_say_what_the_fit_does() -> None:
     found = fitted()
-    values, lines = dh_table(found.calibrated_arm(), ())
-    rows = {row.name: row.corrected for row in values}
-    base, tool = (np.array([part.split("] ")[1] for part in line.split(", ")], dtype=float) for line in lines)
+    values, poses = dh_table(found.calibrated_arm())
+    rows, places = {row.name: row.corrected for row in values}, dict(poses)
     assert len(rows) == 18  # 27 of a complete set less six of the base and three of the point
     for posture in np.random.default_rng(5).uniform(-2.0, 2.0, (4, 6)):
-        at = pose(base[:3], Rotation.from_euler("XYZ", base[3:], degrees=True).as_matrix())
+        at = places["base"]
         for j, (row, q) in enumerate(zip(UR10, posture, strict=True), start=1):
             drawn = {"theta": np.degrees(row.offset), "d": row.d, "a": row.a, "alpha": np.degrees(row.alpha), "beta": 0}
             number = {name: rows.get(f"row {j} {name}", value) for name, value in drawn.items()}
             theta, alpha, beta = np.radians([number[name] for name in ("theta", "alpha", "beta")])
             at = at @ row_of_table(q + theta, number["d"], number["a"], alpha, beta)
-        there = (at @ np.append(tool, 1.0))[:3]
-        # lines are rounded to 0.001 mm and deg, which is 0.01 mm at the reach
-        np.testing.assert_allclose(there, found.model.position(posture[None], found.parameters)[0], rtol=0, atol=0.03)
+        there = (at @ np.append(places["tool 1"], 1.0))[:3]
+        np.testing.assert_allclose(there, found.model.position(posture[None], found.parameters)[0], rtol=0, atol=1e-6)
 
 
 def test_deviations_are_the_covariance_through_central_differences() -> None:
@@ -196,7 +193,7 @@ def test_deviations_are_the_covariance_through_central_differences() -> None:
             named = {**found.geometry.values, **dict(zip(found.names, values, strict=True))}
             links = corrected_links(corrected(found.geometry.chain, named), drawn)[0]
             moved.append([links[1].a, np.degrees(links[1].beta or 0.0), links[3].d, np.degrees(links[4].theta)])
-    rows = {row.name: row for row in dh_table(found.calibrated_arm(), ())[0]}
+    rows = {row.name: row for row in dh_table(found.calibrated_arm())[0]}
     stds = [rows[name].std for name in ("row 2 a", "row 2 beta", "row 4 d", "row 5 theta")]
     expected = np.linalg.norm(np.subtract(moved[::2], moved[1::2]), axis=0) / 0.2
     assert stds == pytest.approx(expected.tolist(), rel=1e-2)
