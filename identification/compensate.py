@@ -261,10 +261,11 @@ class Compensation(Documented):
             notes.append(f"{close} of the targets reached are missed {most}, {least}: no posture of the arm is nearer")
         notes += self.assumed if self.reached.any() else ()
         if self.sided and self.reached.any():
-            # how joints that all rise move as the controller counts
-            (moves,) = self.arm.counting.signs_of_columns(np.ones((1, self.arm.links)))
-            falling = ", ".join(str(j) for j, sign in enumerate(moves, start=1) if sign < 0.0)
+            # how columns of the controller move if all joints rise: q_j = sign_j c_j -+ sign_k c_k where coupled
+            counting = self.arm.counting
+            falling = ", ".join(str(j) for j, sign in enumerate(counting.sign, start=1) if sign < 0)
             rising = f"rising, but {falling} falling" if falling else "rising"
+            rising += "".join(f", {j} by more than {k}" for j, k in enumerate(counting.coupled_to, start=1) if k > 0)
             side = f"{', '.join(self.sided)}: the error depends on the side that a joint comes from"
             notes.append(
                 f"{side}. Drive the targets in this order, and to the first from afar with every joint {rising}"
@@ -318,8 +319,7 @@ class Compensation(Documented):
             )
         ]
         joints = [name.replace("_deg", "").replace("_mm", " [mm]") for name in commands]
-        headings = ["row", *"xyz"[:dimension], *joints, "miss"]
-        table = Sheet(headings, rows, "Targets and miss [mm], commands [deg]", 24)
+        table = Sheet(["row", *"xyz"[:dimension], *joints, "miss"], rows, "Targets and miss [mm], commands [deg]", 24)
         rounded = [] if digits == 3 else ["Rounded to 0.01 deg here; --out and --json give every digit."]
         return Document("Commands", [verdict], [table, *rounded, *reasons[:24], *rest], warnings=self.warnings)
 

@@ -396,5 +396,4 @@ def shown(answer: Answer, as_json: bool) -> None:
     if isinstance(sys.stdout, TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # dashes and lines of tables that its encoding does not have
     # a pipe has no width; brackets of effects are no markup
-    console = Console(width=get_terminal_size((110, 0)).columns, highlight=False, markup=False)
-    console.print(answer.document)
+    Console(width=get_terminal_size((110, 0)).columns, highlight=False, markup=False).print(answer.document)

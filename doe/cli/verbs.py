@@ -320,8 +320,7 @@ def advise_files(
     numbers = range(max(low, fewest), high + 1)
     advice = advise(problem, numbers, target=target_mm, seed=seed, seconds=seconds, progress=progress)
     doubts = [given_sigma] if given_sigma else []
-    answer = Answer(advice.to_json(), advice_document(advice).plus(*doubts), warnings=doubts)
-    return with_collisions(answer, problem)
+    return with_collisions(Answer(advice.to_json(), advice_document(advice).plus(*doubts), warnings=doubts), problem)
 
 
 @VERBS.declare("armcal relax arm.toml --grid 9 --solver clarabel")
@@ -495,8 +494,7 @@ def program_files(
         named = f"run{'s' * (len(elsewhere) != 1)} {', '.join(map(str, elsewhere))}"
         doubts.append(f"Joints come to {named} from other sides than direction1.. of {plan} say, in want of way-points")
     document = Document(parts=[sentence, Sheet(headings, rows, most=60), *doubts])
-    warned = [line.strip() for line in doubts]
-    answer = Answer(data, document, warnings=warned, files={out: ("program", text)})
+    answer = Answer(data, document, warnings=[line.strip() for line in doubts], files={out: ("program", text)})
     return with_collisions(answer, DesignProblem.of(loaded), file.measured)
 
 

@@ -122,8 +122,7 @@ class Clearance:
         For a joint between two bodies it is the length of the stretched arm from there to the farthest point of the
         outer one; a joint that moves both or neither changes nothing. Lines of sight, which no move keeps, have none.
         """
-        at_limits = np.stack([self.model.lower, self.model.upper])
-        origins = self.model.joint_frames(at_limits)[:, :, :3, 3]
+        origins = self.model.joint_frames(np.stack([self.model.lower, self.model.upper]))[:, :, :3, 3]
         steps = np.linalg.norm(np.diff(origins, axis=1), axis=2).max(axis=0)  # constant but for sliding joints
         along, joints = np.r_[0.0, 0.0, np.cumsum(steps)], np.arange(1, len(steps) + 1)  # from joint 1 to each frame
         size = np.pad(np.linalg.norm(self._ends, axis=2), ((0, 0), (0, len(self._boxes))))

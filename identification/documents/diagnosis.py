@@ -90,6 +90,8 @@ def diagnosis_verdict(data: Data) -> list[str]:
         common = f"In all of them: {effects_in_words(shared)}. Besides: " if shared else ""
         return [*lines, count, as_sentence(common + "; or ".join(spelt))]
     lines.append(f"Something that the library does not have is missing, {place_in_words(data)}.")
+    if data["where"] is None and data["misfit"] and data["misfit"]["significant"]:
+        lines[-1] = "The arm scatters by more than sigma_mm, or something outside the library is missing."
     if is_described(data):
         curves = sorted(curve["joint"] for curve in data["curves"])
         words = "An error curve of {} describes" if len(curves) == 1 else "Error curves of {} describe"
@@ -203,7 +205,12 @@ def diagnosis_actions(
     if data["verdict"] == "unknown":
         within = ", within the angles measured" if is_described(data) else ""
         usable = f"; the extended model has what was found and may be used in the meantime{within}"
-        actions.insert(0, Action(f"Look for a cause {place_in_words(data)}{usable if data['predicting'] else ''}."))
+        look = f"Look for a cause {place_in_words(data)}"
+        if data["where"] is None:
+            look = (
+                "Approach some postures again, later: the arm's own scatter shows there, what the model lacks does not"
+            )
+        actions.insert(0, Action(f"{look}{usable if data['predicting'] else ''}."))
     if written is None:
         actions.append(Action("Keep the extended model:", f"{again} --out extended.toml"))
     return [*actions, fits.correct(str(written or "extended.toml"))]
@@ -238,8 +245,7 @@ def diagnosis_document(
             ]
             fitted = ",\n".join(figures) if len(figures) <= 3 else ""
             answer = {True: "yes", False: "no", None: "open"}[session["replicates"]]
-            chance = number(session["probability"], 2)
-            sessions.append([effect["effect"], session["session"], fitted, chance, answer])
+            sessions.append([effect["effect"], session["session"], fitted, number(session["probability"], 2), answer])
         headings = ("effect", "session", "fitted there", "P(the same)", "replicates")
         sections.append(Section("Across sessions", [ACROSS_SESSIONS, Sheet(headings, sessions)]))
     sections.append(Section("The gap, before and after", [*gap_parts(data, nominal), picture("gap_figure")]))

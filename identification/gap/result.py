@@ -103,8 +103,9 @@ class Probabilities:
 
     @property
     def place(self) -> str | None:
-        """Where something outside the library is likeliest."""
-        return max(self.places, key=lambda p: (round(self.places[p], 9), p), default=None)
+        """Where something outside the library is likelier than not, if it exists; None: it may be anywhere."""
+        place = max(self.places, key=lambda p: (round(self.places[p], 9), p), default=None)
+        return None if place is None or self.places[place] < 0.5 * self.of(None) else place
 
     def not_none(self, p: float) -> Probabilities:
         """Where noise cannot leave so much with more than probability p: nothing is as much less likely."""

@@ -133,8 +133,7 @@ def arm_of(truth: TrueArm) -> Arm:
     else:
         rows = [{"a_mm": a, "alpha_deg": float(np.degrees(alpha)), "d_mm": d} for a, alpha, d in truth.table.tolist()]
         arm = load_arm(tables | {"kind": "spatial", "dh": rows})
-        tools = {str(k + 1): np.zeros(3) for k in range(len(truth.tools))}
-        arm = replace(arm, chain=replace(arm.chain, tools=tools))
+        arm = replace(arm, chain=replace(arm.chain, tools={str(k + 1): np.zeros(3) for k in range(len(truth.tools))}))
     return arm.with_effects(*(EffectSpec(e[0], e[1], numbered(e[2])) for e in truth.modelled))
 
 

@@ -17,6 +17,7 @@ from scipy.stats import chi2
 from identification import Array, Conditions, DHRow, InputError, Measurements, Model, chain_of, estimate
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.compensate import TOLERANCE, Compensation, compensate
+from identification.kinematics.counting import Counting
 from tests.identification.estimation.cases import GRAVITY, tip
 from tests.identification.kinematics.test_spatial import tip_by_exponentials
 
@@ -253,6 +254,10 @@ def test_the_side_of_the_approach_is_said() -> None:
     (said,) = found.warnings
     assert said.startswith("backlash: the error depends on the side that a joint comes from. Drive the targets in this")
     assert found.to_json()["warnings"] == [said]
+    counting = Counting((1, -1, 1, 1), (0, 0, 2, -3), (0.0,) * 4)
+    assert np.all(counting.joints(np.array([1.0, -1.0, 1.1, 0.1])) > 0.0)  # all rise, as the next line asks for
+    (counted,) = replace(found, arm=replace(played, counting=counting)).warnings
+    assert counted.endswith("with every joint rising, but 2 falling, 3 by more than 2")
     lengths, offsets = LENGTHS + CALIBRATION.length_errors, CALIBRATION.joint_offsets
     np.testing.assert_allclose(tip(found.commands + offsets + play, lengths), found.targets, rtol=0, atol=TOLERANCE)
     missed = np.linalg.norm(tip(found.commands + offsets - play, lengths) - found.targets, axis=1)

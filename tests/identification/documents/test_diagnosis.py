@@ -81,6 +81,11 @@ def test_effects_are_said_in_words_with_their_names(labels: list[str], words: st
             "discriminate arm.toml",
         ),
         (said("unknown"), PLACE, ""),
+        (
+            said("unknown") | {"where": None, "misfit": {"significant": True}},
+            "The arm scatters by more than sigma_mm",
+            "",
+        ),
         (said("unknown", "backlash:2"), f"{PLACE} In addition: {PLAY}.", ""),
     ],
 )

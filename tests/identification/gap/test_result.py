@@ -53,6 +53,7 @@ def test_verdict_and_probabilities_never_contradict_each_other() -> None:
             assert found.rivals == []
         if verdict == "unknown":
             assert found.places[found.place or ""] == max(found.places.values())
+            assert replace(found, explanations={None: 2.1 * max(found.places.values())}).place is None
         p = float(rng.choice([1e-3, 1e-9, 0.0]))  # that noise leaves so much
         guarded = found.not_none(p)
         assert guarded.of(()) == pytest.approx(p * found.of(()))
