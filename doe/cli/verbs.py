@@ -148,7 +148,7 @@ def design_files(
     runs : Number of (new) measurements m.
     solver : Method; left out: the best for the problem.
     starts : Number of starts.
-    seconds : Time budget [s]; left out: none up to 100 runs, 30 for more.
+    seconds : Time budget of the search [s]; left out: none up to 100 runs, 30 for more.
     discriminating : Also make missing effects distinguishable (costs some D-efficiency).
     order : Of measurement; travel: little joint travel; left out: travel where bodies are known, up to 100 runs.
     approach : Direction from which every joint comes to each posture.

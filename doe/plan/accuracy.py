@@ -225,7 +225,7 @@ def workspace(problem: DesignProblem) -> Array:
     `connected`, as where a probe is to touch something."""
     if problem.choices is not None and not getattr(problem.model, "tied", False):
         return listed_candidates(problem, problem.choices)
-    return connected(problem, random_postures(problem, 1000, np.random.default_rng(0)))
+    return connected(problem)
 
 
 # -- error of the tip --------------------------------------------------------------------------------------------------

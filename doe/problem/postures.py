@@ -64,14 +64,16 @@ def half_at_limits(problem: DesignProblem, count: int, generator: Generator) -> 
     return np.concatenate([anywhere, at_limits[problem.feasible(at_limits)]])
 
 
-def connected(problem: DesignProblem, postures: Array) -> Array:
+def connected(problem: DesignProblem, postures: Array | None = None) -> Array:
     """Where 1,000 random allowed postures leave a gap of half a radian in the angles of a joint, no move crosses it:
-    those of postures (k, n) on the side that has most of them. Where the tracker does not see, moves may pass."""
-    if not problem.constraints or any(each.kind == "line_of_sight" for each in problem.constraints):
-        return postures
-    drawn = problem.comparable(random_postures(problem, 1000, np.random.default_rng(0)))
+    those of postures (k, n), or of the 1,000, on the side that has most. Where the tracker does not see, moves pass."""
+    passes = not problem.constraints or any(each.kind == "line_of_sight" for each in problem.constraints)
+    drawn = postures if passes and postures is not None else random_postures(problem, 1000, np.random.default_rng(0))
+    if passes:
+        return drawn
+    postures = drawn if postures is None else postures
     inside = np.ones(len(postures), dtype=bool)
-    for angles, row in zip(problem.comparable(postures).T, np.sort(drawn.T), strict=True):
+    for angles, row in zip(problem.comparable(postures).T, np.sort(problem.comparable(drawn).T), strict=True):
         side = max(np.split(row, np.flatnonzero(np.diff(row) > 0.5) + 1), key=len)
         inside &= (angles > side[0] - 0.25) & (angles < side[-1] + 0.25)
     return postures[inside] if inside.any() else postures

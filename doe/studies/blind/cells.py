@@ -397,8 +397,7 @@ def probed(truth: TrueArm, run: RowConditions, name: str, joint: int | None, val
 
 def library_columns(truth: TrueArm, run: RowConditions) -> Array:
     """(m d, C) of the geometry and of every effect of the library but the ripples."""
-    space = (*SPACE_JOINT, "axis_runout", *SPACE_WHOLE)
-    names = LIBRARY_JOINT + LIBRARY_WHOLE if truth.in_plane else space
+    names = LIBRARY_JOINT + LIBRARY_WHOLE if truth.in_plane else (*SPACE_JOINT, "axis_runout", *SPACE_WHOLE)
     others = [name for name in names if name not in ("transmission_ripple", EVERY_JOINT)]
     blocks = [probed(truth, run, name, joint) for name in others for joint in joints_of(name, truth.n)]
     return np.hstack([base_jacobian(truth, run), *blocks])
