@@ -122,8 +122,8 @@ of_joint(
 
 def _coupling(self: Effect) -> list[Number]:
     """Typical: as of `gear_ratio`: what a controller leaves of a coupling."""
-    before, here = (at_joint(self.chain, self.joint_index + k, "rad")[1] for k in (0, 1))
-    return [Number("c", "1", 1e-4 * here / before, LEVER)]
+    (moved, many), (by, before) = (at_joint(self.chain, self.joint_index + k, "rad") for k in (1, 0))
+    return [Number("c", "1" if moved == by else f"{moved}/{by}", 1e-4 * many / before, LEVER)]
 
 
 of_joint(

@@ -22,7 +22,7 @@ FILE_UNITS: Mapping[str, tuple[str, float, str]] = MappingProxyType(
     {
         "mm": ("mm", 1.0, "_mm"),
         "rad": ("deg", 180.0 / np.pi, "_deg"),
-        "1": ("1", 1.0, ""),
+        **{unit: (unit, 1.0, "") for unit in ("1", "rad/mm", "mm/rad")},
         "rad/(N m)": ("rad/(N m)", 1.0, "_rad_per_N_m"),
         "mm/N": ("mm/N", 1.0, "_mm_per_N"),
         "1/(N m^2)": ("1/(N m^2)", 1.0, "_per_N_m2"),

@@ -64,8 +64,7 @@ def test_dual_of_the_smallest_eigenvalue_is_a_bound() -> None:
     _, gradient = optimal_weights(QUADRATIC, E(), PriorInformation())
     assert np.linalg.eigvalsh(gradient)[0] >= -1e-12
     assert np.trace(gradient) == pytest.approx(1.0, abs=1e-12)
-    largest = max(float(row @ gradient @ row) for row in QUADRATIC[:, 0])
-    assert 0.2 - 1e-12 <= largest <= 0.2 + 1e-5
+    assert 0.2 - 1e-12 <= max(float(row @ gradient @ row) for row in QUADRATIC[:, 0]) <= 0.2 + 1e-5
 
 
 def test_few_postures_of_many_parameters() -> None:

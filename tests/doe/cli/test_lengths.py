@@ -68,8 +68,7 @@ def test_the_loop_of_a_ball_bar(cell: Folder) -> None:
     assert len(names) == 36
     assert [name for name in names if name.startswith("base")] == ["base.x", "base.y", "base.z"]
     assert not [row for row in found["corrected_values"] if row["name"].startswith("base r")]
-    judged = cell.said("validate calibrated.toml fresh_data.csv --refit none")
-    assert judged["rms_mm"] < 0.016
+    assert cell.said("validate calibrated.toml fresh_data.csv --refit none")["rms_mm"] < 0.016
     cell.write("targets.csv", "x_mm,y_mm,z_mm\n500,300,300\n-400,300,300\n")
     assert cell.said("compensate calibrated.toml targets.csv")["reached"] == 2
     cell.said("report arm.toml calibrated.toml fresh_data.csv --out page.html")

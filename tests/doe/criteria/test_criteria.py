@@ -54,8 +54,7 @@ def test_formulas() -> None:
 @each
 def test_a_singular_matrix_is_worth_minus_infinity_in_a_batch_too(phi: Criterion) -> None:
     good = random_information(np.random.default_rng(0))
-    singular = np.diag([1.0, 1, 1, 1, 1, 0])
-    values = phi.value(np.array([good, singular]))
+    values = phi.value(np.array([good, np.diag([1.0, 1, 1, 1, 1, 0])]))
     assert values[0] == pytest.approx(float(phi.value(good)))
     assert values[1] == -np.inf
     assert phi.efficiency(-np.inf, float(values[0]), P) == 0.0

@@ -21,8 +21,7 @@ def test_the_hidden_effect_is_named_the_gap_closes_and_all_is_shown(tmp_path: Pa
         demo: Demo = run_demo(tmp_path, replace(SIX_AXES, effort={"solver": "random", "starts": 1}))
     gaps, hidden, diagnosis = demo.data["fresh_gap_mm"], demo.data["hidden"], demo.diagnosed.result
     problem, way = demo.design.problem, Plan.load(tmp_path / "plan.csv").postures
-    room = room_of(problem.model, problem.constraints)
-    assert sampled(room, way, 300) > 0.0  # of every move
+    assert sampled(room_of(problem.model, problem.constraints), way, 300) > 0.0  # of every move
     assert diagnosis.effects == ("encoder_eccentricity:2",)
     assert diagnosis.confirmed is True
     assert gaps["drawing"] > 2.0 > 4.0 * gaps["identified"] > 4.0 * gaps["extended"]

@@ -202,6 +202,9 @@ def test_what_a_sliding_joint_is_off_by_is_a_length() -> None:
     assert sizes == pytest.approx(turning | {key: size * slider.levers[1] for key, size in as_far.items()})
     every = build(EffectSpec("joint_compliance"), slider).parameters
     assert [p.file_unit for p in every] == ["rad/(N m)", "mm/N"]
+    mixed = chain_of([*rows, rows[0], rows[0]])  # c q_(j-1): what a radian or millimetre of the joint before adds
+    coupled = [build(EffectSpec("joint_coupling", j), mixed).parameters[0].file_unit for j in (2, 3, 4)]
+    assert coupled == ["mm/rad", "rad/mm", "1"]
     for name in ("encoder_eccentricity", "transmission_ripple", "joint_error_curve", "axis_runout"):
         with pytest.raises(InputError, match=f"{name} at joint 2, which slides, allowed: at joints that turn"):
             build(EffectSpec(name, 2), slider)
