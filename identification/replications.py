@@ -192,8 +192,7 @@ def true_values(model: Model, truth: Model) -> Array:
     drawn, real = (Model(replace(each.arm, effects=())) for each in (model, truth))
     if drawn.names != real.names:
         # three equations of each for some forty parameters
-        postures = np.random.default_rng(0).uniform(model.arm.lower, model.arm.upper, (100, model.joints))
-        plan = plan_of(real, postures)
+        plan = plan_of(real, np.random.default_rng(0).uniform(model.arm.lower, model.arm.upper, (100, model.joints)))
         same = estimate_batch(drawn, plan, real.position(plan.postures, conditions=plan.conditions)[None])
         values |= drawn.parameters.mapping(same.parameters[0])
     return model.parameters.vector(values)

@@ -162,8 +162,7 @@ class Validation(Documented):
         """What the model is worth, drawing and model over all rows, then block by block."""
         data = self.to_json()
         notes = [note for note in self.notes if shown.BY_CHANCE not in note and note != shown.FITTED]
-        parts = shown.validation_sections(data)
-        return Document("Validation", [shown.validation_verdict(data), *notes], parts)
+        return Document("Validation", [shown.validation_verdict(data), *notes], shown.validation_sections(data))
 
 
 def validate(arm: Arm, measurements: Measurements, refit: str = "base") -> Validation:

@@ -281,14 +281,18 @@ def tips_of(fit: Identification) -> tuple[float, float] | None:
     measured; None where something is not identifiable, without deviations, and of other models than an arm's.
 
     Real postures fill no box of joint angles. What the fit is uncertain by at its own postures is less than at others
-    drawn as they were, by `inside`; and in the box of the angles measured it is hardly less, whatever few rows say.
+    drawn as they were, by `inside`; and hardly less than in the box of their angles, whatever few rows say: the range
+    that k random angles are drawn from exceeds theirs by 1 / (k - 1) of it on either side, in the mean.
     """
     arm, postures, covariance = fit.arm, fit.postures, fit.covariance
     if arm is None or fit.not_identifiable or not np.all(np.isfinite(covariance)):
         return None
     if not arm.chain.instrument.places and len(postures) < FEWEST:
         return None
-    boxes = (arm.lower, arm.upper), (postures.min(axis=0), postures.max(axis=0))
+    low, high = postures.min(axis=0), postures.max(axis=0)
+    beyond = (high - low) / max(len(np.unique(postures, axis=0)) - 1, 1)
+    box = np.maximum(low - beyond, np.minimum(low, arm.lower)), np.minimum(high + beyond, np.maximum(high, arm.upper))
+    boxes = (arm.lower, arm.upper), box
     drawn = (np.random.default_rng(0).uniform(low, high, (1000, arm.links)) for low, high in boxes)
     anywhere, in_box = (expected_tip(fit.model, fit.parameters, covariance, some) for some in drawn)
     at_measured = expected_tip(fit.model, fit.parameters, covariance, postures[:: max(len(postures) // 1000, 1)])

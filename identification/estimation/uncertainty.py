@@ -272,8 +272,7 @@ def sandwich(
     held = root @ held @ root.T
     diagonal, length = np.concatenate(diagonals, axis=1), np.concatenate(lengths, axis=1)  # (p, G)
     if turns:
-        each = np.concatenate(turns, axis=1)
-        grams = (w.T @ w if w.shape[0] > w.shape[1] else w @ w.T for w in each)
+        grams = (w.T @ w if w.shape[0] > w.shape[1] else w @ w.T for w in np.concatenate(turns, axis=1))
         squares = np.array([np.sum(np.square(gram)) for gram in grams])
     else:
         squares = np.sum(length**2, axis=1)

@@ -262,8 +262,7 @@ def name_beside(name: str) -> str | None:
     """Under which a mesh that a URDF file names so is found beside a copy of it; None: under none."""
     words = PACKAGE.fullmatch(name)
     inner = "/".join(words.groups()) if words else re.sub(r"^(\.\.?/+)+", "", name)
-    absolute = inner.startswith(("/", "file:")) or ".." in inner.split("/")
-    return None if absolute else inner
+    return None if inner.startswith(("/", "file:")) or ".." in inner.split("/") else inner
 
 
 def pairs_apart(path: PathLike) -> frozenset[frozenset[str]]:

@@ -164,5 +164,4 @@ class Socket(AtTargets):
     @classmethod
     def of_table(cls, table: Mapping[str, Any]) -> Socket:
         cups = tuple((name, tuple(map(float, place))) for name, place in (table.get("cups") or {}).items())
-        distances = tuple((str(a), str(b), float(d)) for a, b, d in table.get("distances_mm") or ())
-        return cls(cups, distances)
+        return cls(cups, tuple((str(a), str(b), float(d)) for a, b, d in table.get("distances_mm") or ()))

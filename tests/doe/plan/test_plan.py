@@ -141,8 +141,7 @@ def test_plans_have_repeats_only_when_asked_for(solver: str) -> None:
     """On two joints, eight runs want the four corners twice."""
     apart = solve(problem(NARROW, OFFSET), 8, solver, starts=10)
     assert smallest_gap(apart.plan.postures) >= np.radians(1.0) * (1 - 1e-9)
-    repeated = solve(problem(NARROW, OFFSET, minimum_distance=0.0), 8, solver, starts=10)
-    assert repeated.value > apart.value
+    assert solve(problem(NARROW, OFFSET, minimum_distance=0.0), 8, solver, starts=10).value > apart.value
     wide = solve(problem(NARROW, OFFSET, minimum_distance=np.radians(25.0)), 8, solver, starts=10)
     assert smallest_gap(wide.plan.postures) >= np.radians(25.0) * (1 - 1e-9)
     assert wide.value < apart.value
@@ -152,8 +151,7 @@ def test_a_free_joint_sets_postures_apart() -> None:
     case = problem(FOUR)
     assert places_of_free_joint(case) == 360
     assert places_of_free_joint(problem(NARROW, OFFSET)) == 1  # a base offset: every joint plays a part
-    design = solve(case, 16)
-    assert smallest_gap(design.plan.postures) >= np.radians(360 / 16) * (1 - 1e-9)
+    assert smallest_gap(solve(case, 16).plan.postures) >= np.radians(360 / 16) * (1 - 1e-9)
 
 
 def test_a_free_joint_has_no_more_places_than_fit_at_the_minimum_distance() -> None:

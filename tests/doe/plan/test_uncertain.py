@@ -156,8 +156,7 @@ def test_the_bound_of_a_random_list_holds_for_all_postures() -> None:
 
 def test_the_workspace_is_on_one_side_of_what_no_move_passes() -> None:
     """A post beside the base, which the first link would hit within 32 degrees; and the list that is chosen from."""
-    post = replace(ARM, constraints=(KeepOut((150.0, 0.0), 80.0),))
-    case = DesignProblem.of(Model(post))
+    case = DesignProblem.of(Model(replace(ARM, constraints=(KeepOut((150.0, 0.0), 80.0),))))
     for postures in (workspace(case), with_choices(case).choices):
         assert np.abs(np.sign(postures[:, 0]).sum()) == len(postures) > 200
         assert np.abs(postures[:, 0]).min() > np.arcsin(80.0 / 150.0)

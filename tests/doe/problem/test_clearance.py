@@ -113,8 +113,7 @@ def test_what_is_always_near_may_stay_near(place: float, touching: int, asked: l
     clearance = Clearance(design_model(Model(Arm(np.array([400.0, 300.0]), cell=Cell(balls, clearance=10.0)))))
     assert len(clearance.touching) == touching
     assert clearance.asked.tolist() == pytest.approx(asked)
-    said = " ".join(clearance.not_looked_at())
-    assert [f"ball {k} and first" in said for k in range(8)] == 8 * [place < 80.0]
+    assert [f"ball {k} and first" in " ".join(clearance.not_looked_at()) for k in range(8)] == 8 * [place < 80.0]
 
 
 def test_slopes_are_differences_of_margins(clearance: Clearance, postures: Array) -> None:

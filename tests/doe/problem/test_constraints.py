@@ -140,8 +140,7 @@ def test_says_which_constraints_exclude_everything(constraints: tuple, message: 
 def test_finds_a_feasible_set_that_random_postures_miss() -> None:
     """The tip within 3 mm of the stretched arm's reach: about one posture in a million."""
     arm = Arm(FOUR.lengths, FOUR.lower, FOUR.upper, constraints=(WorkspaceBox((657.0, 661.0), (-10.0, 10.0)),))
-    problem = DesignProblem.of(Model(arm))
-    found = random_postures(problem, 50, np.random.default_rng(0))
+    found = random_postures(DesignProblem.of(Model(arm)), 50, np.random.default_rng(0))
     tips = Model(arm).position(found)
     assert found.shape == (50, 4)
     assert np.all(tips[:, 0] >= 657)

@@ -156,8 +156,7 @@ def test_a_plan_of_a_sine_is_the_best_of_all_pairs() -> None:
 
 
 def test_relaxation_advice_and_score_of_a_sine() -> None:
-    weights = relax(SINE, FINE[:, None])
-    assert weights.value == pytest.approx(-2.0 * np.log(2.0), abs=1e-6)
+    assert relax(SINE, FINE[:, None]).value == pytest.approx(-2.0 * np.log(2.0), abs=1e-6)
     advice = advise(SINE, [2, 3, 4, 8], target=0.3)
     assert advice.efficient_runs() == (2, 3, 4, 8)  # three points 60 degrees apart are as good
     assert len(advice.smallest.plan) == 8  # 0.5 sqrt(2 / 4) = 0.35, 0.5 sqrt(2 / 8) = 0.25

@@ -53,8 +53,7 @@ def test_points_that_are_not_known_lie_beside_the_last_axis() -> None:
 
 def test_every_point_is_measured_at_every_posture() -> None:
     tools = {"1": REFLECTOR, "2": np.array([-50.0, 20.0, 80.0])}
-    arm = Arm(replace(CHAIN, tools=tools), sigma=0.05)
-    problem = six_axis(arm)
+    problem = six_axis(Arm(replace(CHAIN, tools=tools), sigma=0.05))
     assert isinstance(problem.model, ArmModel)
     assert problem.model.dimension == 6
     blocks = problem.scaled_jacobians(POSTURES[:3]) * problem.model.parameters.scales
@@ -126,8 +125,7 @@ def test_plans_of_a_joint_that_slides() -> None:
     matrix = difference_information(SLIDING, SLIDING.model, best.plan.postures, best.plan.shares)  # type: ignore[arg-type]
     assert best.value == pytest.approx(np.linalg.slogdet(matrix)[1], abs=1e-5)
     np.testing.assert_allclose(sensitivities(best.plan.postures, matrix), p, atol=1e-3)
-    anyhow = generator.uniform(SLIDING.lower, SLIDING.upper, (50, 4))
-    assert sensitivities(anyhow, matrix).max() <= p + 1e-4
+    assert sensitivities(generator.uniform(SLIDING.lower, SLIDING.upper, (50, 4)), matrix).max() <= p + 1e-4
     assert not best.bound.rigorous  # a sliding joint's positions are no trigonometric polynomial
     design = solve(SLIDING, 8, "exchange", starts=3, seed=1, bound=best.bound)
     assert not len(too_near(SLIDING, design.plan.postures))

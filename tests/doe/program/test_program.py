@@ -236,8 +236,7 @@ def refusal(arm: Arm, robot: str, postures: np.ndarray = POSTURES, **options: ob
 
 def test_an_arm_that_the_controller_does_not_know() -> None:
     assert refusal(Arm([300.0, 200.0]), "ur", postures=POSTURES[:, :2]).endswith("--robot ur: 2 joints, allowed: 6")
-    rail = Arm(chain_of([RAIL, *SIX[1:]]), sigma=0.05)
-    assert "joint 1 slides" in refusal(rail, "ur")
+    assert "joint 1 slides" in refusal(Arm(chain_of([RAIL, *SIX[1:]]), sigma=0.05), "ur")
     ten = Arm(chain_of([*SIX, *SIX[:4]]), sigma=0.05)
     assert "10 joints, allowed: 1 to 6" in refusal(ten, "fanuc", postures=np.zeros((5, 10)))
     assert "allowed: 0 to 300" in refusal(LIMITED, "kuka", settle=float("nan"))

@@ -74,8 +74,7 @@ def test_a_plan_in_a_sentence() -> None:
 
 
 def test_rows_without_payload_are_completed_before_others_are_appended() -> None:
-    gravity = Gravity(np.array([0.0, -9.81]), np.array([5.0, 3.0]), np.full(2, 0.5), 7.5)
-    arm = Arm([200.0, 100.0], gravity=gravity)
+    arm = Arm([200.0, 100.0], gravity=Gravity(np.array([0.0, -9.81]), np.array([5.0, 3.0]), np.full(2, 0.5), 7.5))
     for measured, payload, noted in (
         (None, np.array([5.0]), True),
         (None, None, False),
@@ -131,8 +130,7 @@ def test_the_edited_plan_keeps_the_columns_of_its_file(tmp_path: Path) -> None:
 def test_long_and_weighted_plans_are_drawn_only() -> None:
     for plan in (Plan(np.ones((201, 2))), Plan(np.ones((2, 2)), np.array([0.25, 0.75]))):
         assert plan_steps(problem(ARM), plan) is None
-    drawn = plan_section(ARM, plan)
-    (pictures,) = drawn.parts
+    (pictures,) = plan_section(ARM, plan).parts
     assert isinstance(pictures, Pictures)
     assert len(pictures.draw()) == 2
 
@@ -143,8 +141,7 @@ def test_no_weight_is_printed_as_zero() -> None:
     weights = relax(DesignProblem.of(Model(Arm([300.0, 200.0]))), 5)
     text = str(relax_document(replace(weights, plan=Plan(np.eye(3, 2), shares))))
     assert re.findall(r"^ *(0.5|1e-09) ", text, re.MULTILINE) == ["0.5", "0.5", "1e-09"]
-    loose = replace(weights, largest=weights.largest + 6e-5)
-    assert "6e-05" in str(relax_document(loose))  # and not 0.000
+    assert "6e-05" in str(relax_document(replace(weights, largest=weights.largest + 6e-5)))  # and not 0.000
 
 
 # -- pictures in space -------------------------------------------------------------------------------------------------

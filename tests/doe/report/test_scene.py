@@ -58,8 +58,7 @@ def test_three_js_is_small_licensed_and_asks_for_nothing() -> None:
 
 # -- data --------------------------------------------------------------------------------------------------------------
 def test_a_body_keeps_its_shape_with_few_triangles() -> None:
-    fine = round_body(200)
-    vertices, faces = simplified(fine, 6000)
+    vertices, faces = simplified(round_body(200), 6000)
     assert 3000 < len(faces) <= 6000
     corners = vertices[faces.astype(int)]
     assert np.abs(np.linalg.norm(corners.mean(axis=1), axis=1) - 1.0).max() < 0.02
@@ -172,8 +171,7 @@ def test_the_script_has_the_kinematics_of_the_model(seen: Watched) -> None:
     for arm in (ARM, sliding_arm()):
         model = design_model(Model(arm))
         postures = RANDOM.uniform(model.lower, model.upper, (20, model.joints))
-        data = scene(model, postures, {})
-        found = np.array(seen.page.evaluate(script, [data["chain"], postures.tolist()]))
+        found = np.array(seen.page.evaluate(script, [scene(model, postures, {})["chain"], postures.tolist()]))
         expected = model.joint_frames(postures)
         assert np.linalg.norm(expected[:, -1, :3, 3], axis=1).min() > 1.0  # [mm]
         np.testing.assert_allclose(np.swapaxes(found.reshape(expected.shape), -1, -2), expected, rtol=0.0, atol=1e-9)

@@ -36,8 +36,7 @@ def test_no_single_exchange_improves_the_end() -> None:
 
 
 def test_finds_the_best_of_all_grid_plans() -> None:
-    arm = Arm([200.0, 150.0, 90.0], np.radians([-180, -50, -70]), np.radians([180, 90, 60]))
-    case = problem(arm)
+    case = problem(Arm([200.0, 150.0, 90.0], np.radians([-180, -50, -70]), np.radians([180, 90, 60])))
     levels = Exchange(levels=5).grid(case)
     postures = np.array([[0.0, a, b] for a in levels[1] for b in levels[2]])
     every = np.array(list(combinations_with_replacement(range(25), 4)))
