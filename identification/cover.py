@@ -27,6 +27,7 @@ from identification.arrays import Array
 from identification.workspace import cut
 
 Index = NDArray[np.intp]
+STILL = np.eye(4)  # the pose of a frame in itself
 
 
 # -- capsules ----------------------------------------------------------------------------------------------------------
@@ -38,21 +39,20 @@ def capsules_around(triangles: Array, most: int = 8) -> Array:
     faces = cut(triangles, 0.5 * cell)
     surface, around, inside = points_about(faces, cell)
     parts, found = [inside], list[tuple[float, Array]]()
-    while True:
-        capsules = np.array([like(part) for part in parts])
-        for weight in (3.0, 100.0):
-            value, capsules = fitted(capsules, surface, around, weight)
-        found.append((value, capsules))
-        tight = -from_capsules(capsules, around)[0].min(initial=0.0) < max(0.3 * cell, 3.0)
-        if tight or len(parts) >= most:
-            break
-        many = min(2 * len(parts), most)
+    for many in (min(2**k, most) for k in range(most.bit_length() + 1)):
         while len(parts) < many:  # the one that varies most is cut in two across where it does
             part = parts.pop(int(np.argmax([len(each) * np.var(each, axis=0).sum() for each in parts])))
             middle = part.mean(axis=0)
             along = (part - middle) @ np.linalg.eigh((part - middle).T @ (part - middle))[1][:, 2]
             halves = [part[along < 0.0], part[along >= 0.0]]
             parts += halves if min(map(len, halves)) else [part, part]
+        capsules = np.array([like(part) for part in parts])
+        for weight in (3.0, 100.0):
+            value, capsules = fitted(capsules, surface, around, weight)
+        found.append((value, capsules))
+        tight = -from_capsules(capsules, around)[0].min(initial=0.0) < max(0.3 * cell, 3.0)
+        if tight or many == most:
+            break
     best = min(value for value, _ in found)
     capsules = next(each for value, each in found if value <= 1.35 * best)  # fewer, if they are nearly as good
     for weight in (1000.0, 10000.0):
@@ -164,10 +164,9 @@ def points_about(faces: Array, cell: float, most: int = 800) -> tuple[Array, Arr
 
 
 # -- boxes -------------------------------------------------------------------------------------------------------------
-def boxes_around(triangles: Array, place: Array | None = None, most: int = 32) -> Array:
+def boxes_around(triangles: Array, place: Array = STILL, most: int = 32) -> Array:
     """(k, 15) centers, rotation matrices and half sizes of at most `most` boxes, along the axes of the triangles, that
-    contain the triangles (t, 3, 3);  place : (4, 4) pose of the frame of the triangles in that of the boxes; None: the
-    same"""
+    contain the triangles (t, 3, 3);  place : (4, 4) pose of the frame of the triangles in that of the boxes"""
     cell = max(float(np.ptp(triangles, axis=(0, 1)).max()), 1.0) / 64
     faces = cut(triangles, 0.5 * cell)
     grid = np.floor((faces.mean(axis=1) - triangles.min(axis=(0, 1))) / cell).astype(int)
@@ -182,7 +181,7 @@ def boxes_around(triangles: Array, place: Array | None = None, most: int = 32) -
         if saved < 0.01 * sum(volumes(part, cell)[-1] for part in parts):
             break
         parts[k : k + 1], cuts[k : k + 1] = halves, [best_cut(half, cell) for half in halves]
-    turn, origin = (np.eye(3), np.zeros(3)) if place is None else (place[:3, :3], place[:3, 3])
+    turn, origin = place[:3, :3], place[:3, 3]
     low, high = np.array([[part[:, 0].min(axis=0), part[:, 1].max(axis=0)] for part in parts]).swapaxes(0, 1)
     turns = np.tile(turn.ravel(), (len(parts), 1))
     return np.hstack([0.5 * (low + high) @ turn.T + origin, turns, np.maximum(0.5 * (high - low), 1e-3)])

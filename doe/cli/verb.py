@@ -152,16 +152,11 @@ def command(function: Callable[..., Answer], example: str) -> click.Command:
         return page.page(document.plus(page.origin(typed, context.params["seed"], read)))
 
     def allowed(model: Any, postures: Any = None, moves: Any = None) -> tuple[Any, dict[str, Any], list[str]]:
-        from doe.plan.moves import in_sentences, unproven
-        from doe.problem.clearance import said_of_collisions
+        from doe.plan.moves import said_of_collisions
         from doe.problem.constraints import constraints_of
 
         kept = constraints_of(model) if model.arm.cell or model.arm.constraints else ()
-        data, lines = said_of_collisions(kept, model.arm.dimension, postures)
-        if moves is not None:
-            data["moves"] = {"not_free": unproven(kept, moves) or []}
-            lines += in_sentences(data["moves"]["not_free"])
-        return kept, data, lines
+        return kept, *said_of_collisions(kept, model.arm.dimension, postures, moves)
 
     def run(as_json: bool, quiet: bool, seed: int, **values: Any) -> None:
         for group, type_ in groups.items():

@@ -109,11 +109,11 @@ def tell_of_candidates(path: Path, problem: DesignProblem, postures: Any) -> Non
         warnings.warn(f"{path}: {apart}", UserWarning, stacklevel=2)
 
 
-def with_collisions(answer: Answer, problem: DesignProblem, postures: Any = None) -> Answer:
-    """The answer with what is known of collisions at postures (m, n), None: it has no plan."""
-    from doe.problem.clearance import said_of_collisions
+def with_collisions(answer: Answer, problem: DesignProblem, postures: Any = None, moves: Any = None) -> Answer:
+    """The answer with what is known of collisions at postures (m, n) and of moves along others, None: it has none."""
+    from doe.plan.moves import said_of_collisions
 
-    data, lines = said_of_collisions(problem.constraints, getattr(problem.model, "space", 0), postures)
+    data, lines = said_of_collisions(problem.constraints, getattr(problem.model, "space", 0), postures, moves)
     return replace(answer, data=answer.data | data, document=answer.document.plus(*lines))
 
 
@@ -241,7 +241,6 @@ def score_files(
     seconds : Time budget of the search for the bound [s].
     """
     from doe.plan.accuracy import average_error, criterion_values, error_at_poses, observability, with_choices
-    from doe.plan.moves import in_sentences, unproven
     from doe.report.design import design_document
     from identification import Plan, design_model, load_arm
 
@@ -270,12 +269,9 @@ def score_files(
         "criteria": values,
         "preflight": None if sees is None else sees.to_json(),
     }
-    driven = Plan.load(plan, loaded.joint_types, vias=True).postures
-    moves = None if judged.weights is not None else unproven(problem.constraints, driven)
-    if moves is not None:
-        data["moves"] = {"not_free": moves}
+    moves = None if judged.weights is not None else Plan.load(plan, loaded.joint_types, vias=True).postures
     meant = f"{plan} is to be fitted by armcal identify --{judged.fit}: {UNLIKE_ROBUST}"
-    lines = [*([meant] if judged.fit and not criterion.robust else []), *in_sentences(moves or [])]
+    lines = [meant] if judged.fit and not criterion.robust else []
     figures = ", ".join(f"{name} {'-' if value is None else format(value, '.5g')}" for name, value in values.items())
     rms = "" if (error := data["workspace_error_mm"]) is None else f", {in_a_sentence(error)} mm RMS"
     of = f"I: the tip over the workspace{rms}; Ds: what is in mm"
@@ -284,7 +280,7 @@ def score_files(
     lines.append(f"observability indices: {indices}")
     if getattr(problem.model, "needs", ()) and any(column is not None for column in judged.conditions.values()):
         lines.append("Payloads, temperatures and directions of the plan count in the following; above, all are alike.")
-    return with_collisions(Answer(data, design_document(design).plus(*lines, *tables)), problem, judged.postures)
+    return with_collisions(Answer(data, design_document(design).plus(*lines, *tables)), problem, judged.postures, moves)
 
 
 @VERBS.declare("armcal advise arm.toml --runs 4:40 --target-mm 0.02")

@@ -38,20 +38,27 @@ from numpy.typing import NDArray
 
 from doe.plan.spacing import best_beside
 from doe.problem.clearance import ROUNDING, Clearance
-from doe.problem.constraints import KINDS, Constraint
+from doe.problem.constraints import KINDS, Constraint, Walls
 from doe.problem.model import joint_units, turns
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem, Stop, never
 from identification import Array, Plan
+from identification.document import count_of
 
 Numbers = NDArray[np.intp]
 APPROACH = float(np.radians(3.0))  # more than any backlash
 NARROWEST = 0.5  # [mm] of the way of a body, below which a stretch is not halved again
 MOVING = 0.5  # share of the clearance that is kept while the arm moves
 WALL = 10.0  # [mm] that the arm may pass a wall by while it moves: many postures are on one
+WAY = "the travel of the shortest order with nothing in the way."
 WOUND = 1.01 * 2.0 * np.pi  # [rad] limits that leave more are of several turns
 ATTEMPTS = 5  # to replace what no way leads to
 MANY = 100  # runs above which a plan keeps its order if no other is asked for
+# what is said of plans of an arm in space whose bodies are not known
+COLLISIONS = (
+    "Collisions were not looked at, neither of the arm with itself nor with what is around it, since the arm file has "
+    "no bodies: add [[cell.bodies]] or a URDF with collision bodies, or try each posture slowly."
+)
 
 
 class Room(NamedTuple):
@@ -301,8 +308,7 @@ def drive(
     counts = np.eye(problem.joints) if counts is None else counts
     senses = senses_of(approach, counts)
     for attempt in range(1, ATTEMPTS + 1):
-        towards = None if approach == "any" else senses[rows % len(senses)]
-        entries = None if towards is None else approaches(postures, towards, counts, room, generator)
+        entries = approaches(postures, senses[rows % len(senses)], counts, room, generator) if len(senses) else None
         sideways = [] if entries is None else np.flatnonzero(np.isnan(entries[:, 0])).tolist()
         last = attempt == ATTEMPTS or stop()
         if last or not sideways:  # what is left then is approached from anywhere
@@ -326,30 +332,22 @@ def drive(
     lines = [f"order {order}: {travel} of the joint that moves farthest ({change})"]
     if not solid and approach == "any":
         return Drive(measured, measured, data, lines)
-    moves, changed = replace(whole, via=via), int(np.any(postures != given, axis=1).sum())
-    vias, no_approach = int(via.sum()), (np.flatnonzero(np.isin(run_rows, sideways)) + 1).tolist()
-    not_free = (unproven(problem.constraints, whole.postures) or []) if unreached or stop() else []
-    data["moves"] = {
-        "vias": vias,
-        "replaced": changed,
-        "shortest_deg": min(shortest),
-        "approach": approach,
-        "no_approach": no_approach,
-        "not_free": not_free,
-        "rows": rows_of(moves),
-    }
-    times, counted = after / (min(shortest) or after or 1.0), f"{vias} way-point{'s' * (vias != 1)}"
-    lines.append(f"Moves: {counted}, {times:.2f} times the travel of the shortest order with nothing in the way.")
-    if approach != "any":
-        how = "both ways, half of the runs each" if approach == "alternate" else f"in {approach} direction"
-        lines.append(f"every joint comes to each posture {how}; plan and bound leave room for it at the limits")
-    if no_approach:
-        named = f"run{'s' * (len(no_approach) != 1)} {', '.join(map(str, no_approach))}"
-        lines.append(f"but not to {named}: no free way was found there from that side")
-    if changed:
-        were = "1 of the postures was" if changed == 1 else f"{changed} of the postures were"
-        lines.append(f"{were} replaced: no free way led there from the others")
-    return Drive(measured, moves, data, [*lines, *in_sentences(not_free)])
+    moves, vias, changed = replace(whole, via=via), int(via.sum()), int(np.any(postures != given, axis=1).sum())
+    no_approach = (np.flatnonzero(np.isin(run_rows, sideways)) + 1).tolist()
+    blocked = unproven(problem.constraints, whole.postures) if unreached or stop() else []
+    data["moves"] = {"vias": vias, "replaced": changed, "shortest_deg": min(shortest), "approach": approach}
+    data["moves"] |= {"no_approach": no_approach, "not_free": blocked, "rows": rows_of(moves)}
+    times, named = after / (min(shortest) or after or 1.0), ", ".join(map(str, no_approach))
+    how = "both ways, half of the runs each" if approach == "alternate" else f"in {approach} direction"
+    were = f"{count_of(changed, 'posture')} {'was' if changed == 1 else 'were'} replaced"
+    for true, sentence in (
+        (True, f"Moves: {count_of(vias, 'way-point')}, {times:.2f} times {WAY}"),
+        (approach != "any", f"every joint comes to each posture {how}; plan and bound leave room for it at the limits"),
+        (no_approach, f"but not to run {named}: no free way was found there from that side"),
+        (changed, f"{were}: no free way led there from the others"),
+    ):
+        lines += [sentence] if true else []
+    return Drive(measured, moves, data, [*lines, *in_sentences(blocked)])
 
 
 def rows_of(moves: Plan) -> list[dict[str, Any]]:
@@ -362,18 +360,20 @@ def rows_of(moves: Plan) -> list[dict[str, Any]]:
     ]
 
 
-def unproven(constraints: Sequence[Constraint], postures: Array) -> list[dict[str, Any]] | None:
+def unproven(constraints: Sequence[Constraint], postures: Array) -> list[dict[str, Any]]:
     """Key `not_free`: moves between postures (m, n) that are not proven to be free: the row, from 1, that each leads
-    to, the bodies that come nearest to what is kept, and how near; None where nothing is known of any body."""
+    to, the bodies, or the wall, that come nearest to what is kept, and how near; none where no body is known."""
     if (clearance := clearance_of(constraints)) is None:
-        return None
-    room = room_of(clearance.model, constraints)
-    kept = np.where([clearance.model.cell.SIGHT in pair for pair in clearance.pairs], -np.inf, MOVING * clearance.asked)
-    moves, shares = list[dict[str, Any]](), np.linspace(0.0, 1.0, 300)[:, None]
+        return []
+    room, walls, shares = room_of(clearance.model, constraints), Walls(constraints), np.linspace(0.0, 1.0, 300)[:, None]
+    names = [pair for each in constraints for pair in getattr(each, "pairs", each.count * [(each.kind,)])]
+    asked = np.concatenate([getattr(each, "asked", np.zeros(each.count)) for each in constraints])
+    moves = list[dict[str, Any]]()
     for row in np.flatnonzero(~room.free(postures[:-1], postures[1:])).tolist():
-        apart = clearance.distance(postures[row] + shares * (postures[row + 1] - postures[row]))
-        at, k = divmod(int(np.argmin(apart - kept)), len(kept))
-        moves.append({"row": row + 2, "bodies": [*clearance.pairs[k]], "distance_mm": float(apart[at, k])})
+        way = postures[row] + shares * (postures[row + 1] - postures[row])
+        at, k = divmod(int(np.argmin(room.margin(way))), len(names))
+        apart = float(walls.values(way[at : at + 1])[0, k] + asked[k])
+        moves.append({"row": row + 2, "bodies": [*names[k]], "distance_mm": apart})
     return moves
 
 
@@ -383,6 +383,22 @@ def in_sentences(moves: Sequence[Mapping[str, Any]]) -> list[str]:
     return lines + [
         f"  to row {each['row']}: {' and '.join(each['bodies'])} come to {each['distance_mm']:.0f} mm" for each in moves
     ]
+
+
+def said_of_collisions(
+    constraints: Sequence[Constraint], dimension: int, postures: Array | None = None, moves: Array | None = None
+) -> tuple[dict[str, Any], list[str]]:
+    """Keys `collisions_checked`, of postures (m, n) `collisions`, and of moves along others `moves`, and what to say of
+    them; nothing of arms in a plane whose bodies nobody has described;  postures, moves : None: there are none"""
+    if (clearance := clearance_of(constraints)) is None:
+        return ({"collisions_checked": False}, [COLLISIONS]) if dimension == 3 else ({}, [])
+    data: dict[str, Any] = {"collisions_checked": not (clearance.unseen or clearance.bare)}
+    if postures is None:
+        return data, clearance.not_looked_at()
+    data["collisions"], blocked = clearance.too_near(postures), list[dict[str, Any]]()
+    if moves is not None:
+        data["moves"] = {"not_free": (blocked := unproven(constraints, moves))}
+    return data, [*clearance.in_words(postures), *in_sentences(blocked)]
 
 
 def one_turn(problem: DesignProblem, room: Room, postures: Array) -> Callable[[Array], Array]:
@@ -429,32 +445,33 @@ def clearance_of(constraints: Sequence[Constraint]) -> Clearance | None:
     return next((each for each in constraints if isinstance(each, Clearance)), None)
 
 
-def room_of(model: Any, constraints: Sequence[Constraint], spare: float = 0.0) -> Room:
-    """What the moves of an arm with these constraints keep free; where nothing is known of any body, they keep walls at
-    their ends.
+def slack_of(each: Constraint, constraints: Sequence[Constraint], spare: float = 0.0) -> Array:
+    """(k,) [mm] by how much postures on the way may fall short of one of the constraints on what is measured.
 
     spare : share of the clearance, and of the distance of walls, that is kept besides
 
-    Of the clearance that postures keep it is half, beyond which a body may be where it is not thought to be; and the
-    walls of the arm file to 10 mm, since many postures are on one. Limits of joints that are counted together are kept
-    all along a straight move where its ends keep them. A line of sight may be blocked between measurements.
+    Of the clearance half is kept, beyond which a body may be where it is not thought to be. Where bodies are known the
+    walls of the arm file are kept to 10 mm, since many postures are on one, else by the ends of moves; as are limits of
+    joints that are counted together. A line of sight may be blocked between measurements.
     """
-    clearance, n = clearance_of(constraints), len(model.lower)
-    at_ends = [*KINDS] if clearance is None else ["joint_limits"]
-    walls = [
-        (each, ROUNDING if each.kind in at_ends else (1.0 - spare) * WALL) for each in constraints if each.kind in KINDS
-    ]
-    # links of walls are nowhere farther from the axis of any joint than the stretched arm is long
-    longest = np.where(turns(model), model.reach, 1.0) if walls else np.ones(n)
-    levers = [np.tile((each.kind not in at_ends) * longest, (each.count, 1)) for each, _ in walls]
-    bodies = list[Callable[[Array], Array]]()
-    if clearance is not None:
-        solid = [clearance.model.cell.SIGHT not in pair for pair in clearance.pairs]
-        kept = (MOVING + spare) * clearance.asked[solid] - ROUNDING
-        bodies, levers = [lambda q: clearance.distance(q)[:, solid] - kept], [*levers, clearance.levers()[solid]]
+    if isinstance(each, Clearance):
+        return np.where(each.of_sight, np.inf, (1.0 - MOVING - spare) * each.asked + ROUNDING)
+    all_along = clearance_of(constraints) is not None and each.kind in KINDS and each.kind != "joint_limits"
+    at_ends = np.inf if each.kind == "line_of_sight" else ROUNDING
+    return np.full(each.count, (1.0 - spare) * WALL if all_along else at_ends)
 
-    def margin(postures: Array) -> Array:
-        beside = [each.margin(postures) + slack for each, slack in walls]
-        return np.concatenate([np.empty((len(postures), 0)), *beside, *(each(postures) for each in bodies)], axis=1)
 
-    return Room(margin, np.concatenate([np.empty((0, n)), *levers]), model.lower, model.upper, joint_units(model))
+def room_of(model: Any, constraints: Sequence[Constraint], spare: float = 0.0) -> Room:
+    """What the moves of an arm with these constraints keep free;  spare : as of `slack_of`"""
+    slack, levers = [np.empty(0)], [np.empty((0, len(model.lower)))]
+    # links are nowhere farther from the axis of any joint than the stretched arm is long
+    longest = np.where(turns(model), getattr(model, "reach", 0.0), 1.0)
+    for each in constraints:
+        slack.append(slack_of(each, constraints, spare))
+        levers.append(
+            each.levers() if isinstance(each, Clearance) else np.where(slack[-1][:, None] > ROUNDING, longest, 0.0)
+        )
+    walls, beside = Walls(constraints), np.concatenate(slack)
+    return Room(
+        lambda q: walls.values(q) + beside, np.concatenate(levers), model.lower, model.upper, joint_units(model)
+    )

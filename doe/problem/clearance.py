@@ -32,26 +32,6 @@ ROUNDING = 1e-3  # [mm] by which a plan that was written and read again may miss
 TINY = 1e-12  # [mm], [mm^2] below which a length, or its square, has no direction
 CROSSING = 1e-6  # [mm] between axes that cross: no direction leads away
 DEEP = 1e5  # [mm] half sizes of the box that the floor is the top of
-# what is said of plans of an arm in space whose bodies are not known
-COLLISIONS = (
-    "Collisions were not looked at, neither of the arm with itself nor with what is around it, since the arm file has "
-    "no bodies: add [[cell.bodies]] or a URDF with collision bodies, or try each posture slowly."
-)
-
-
-def said_of_collisions(
-    constraints: Sequence[Any], dimension: int, postures: Array | None = None
-) -> tuple[dict[str, Any], list[str]]:
-    """Keys `collisions_checked` and `collisions` of postures (m, n), None: there are none, and what to say of them;
-    nothing of arms in a plane whose bodies nobody has described."""
-    looked = [each for each in constraints if isinstance(each, Clearance)]
-    data: dict[str, Any] = {"collisions_checked": any(not (each.unseen or each.bare) for each in looked)}
-    if not looked:
-        return (data, [COLLISIONS]) if dimension == 3 else ({}, [])
-    if postures is None:
-        return data, [line for each in looked for line in each.not_looked_at()]
-    near = [pair for each in looked for pair in each.too_near(postures)]
-    return data | {"collisions": near}, [line for each in looked for line in each.in_words(postures)]
 
 
 class Clearance:
@@ -115,6 +95,7 @@ class Clearance:
         self._pieces = self._pieces[kept[self._pieces[:, 0]]]
         self._pieces[:, 0] = np.unique(self._pieces[:, 0], return_inverse=True)[1]
         self.count, self._last = len(self.pairs), (np.empty(0),)
+        self.of_sight = np.array([cell.SIGHT in pair for pair in self.pairs], dtype=bool)  # (k,)
 
     def levers(self) -> Array:
         """(k, n) how much at most the distance of each pair changes by a unit of each joint [mm/rad, 1].
@@ -153,17 +134,14 @@ class Clearance:
 
     def in_words(self, postures: Array) -> list[str]:
         """What is to be said of postures (m, n): every pair that is too near, and what is asked of which pairs."""
-        near, lines = self.too_near(postures), list[str]()
-        many = len(np.unique(postures, axis=0))  # of data a posture may have many rows
+        near, usual = self.too_near(postures), int(np.sum(self.asked >= self.usual))
+        # of data a posture may have many rows
+        those, many = (len(np.unique(each, axis=0)) for each in (postures[[k["run"] - 1 for k in near]], postures))
+        stay = "pair of bodies stays" if usual == 1 else "pairs of bodies stay"
+        lines = [f"Collisions: {usual} {stay} {self.usual:g} mm apart in all {many} postures."]
         if near:
-            those = len(np.unique(postures[[each["run"] - 1 for each in near]], axis=0))
-            lines.append(f"Collisions: {those} of {many} postures bring bodies too near to each other:")
-        lines += [f"  run {each['run']}: {distance_in_words(each)}" for each in near]
-        if not near:
-            usual = int(np.sum(self.asked >= self.usual))
-            stay = "pair of bodies stays" if usual == 1 else "pairs of bodies stay"
-            lines.append(f"Collisions: {usual} {stay} {self.usual:g} mm apart in all {many} postures.")
-        return lines + self.not_looked_at()
+            lines = [f"Collisions: {those} of {many} postures bring bodies too near to each other:"]
+        return [*lines, *(f"  run {each['run']}: {distance_in_words(each)}" for each in near), *self.not_looked_at()]
 
     def not_looked_at(self) -> list[str]:
         """What is to be said of pairs that less is asked of, or nothing, and of what may collide unseen."""
@@ -192,13 +170,10 @@ class Clearance:
         if not self.pairs:
             return np.empty((m, 0)), nearest
         along, rods = placed[1] - placed[0], second < self._capsules
-        middle, half = (
-            placed[0] + 0.5 * along,
-            0.5 * np.pad(np.sqrt(dot(along, along)), ((0, 0), (0, len(self._boxes)))),
-        )
+        middle, half = placed[0] + 0.5 * along, np.pad(0.5 * length(along), ((0, 0), (0, len(self._boxes))))
         between, box = middle[..., first[rods]] - middle[..., second[rods]], second[~rods] - self._capsules
         most = np.empty((m, len(pair)))
-        most[:, rods] = np.sqrt(dot(between, between))
+        most[:, rods] = length(between)
         most[:, ~rods] = from_box(self._in_box(middle[..., first[~rods]], box), self._boxes[box, 12:].T[:, None])
         most -= self._radii[first] + self._radii[second]
         bound, exact = np.minimum.reduceat(most, starts, axis=1) + ROUNDING, np.full_like(most, np.inf)
@@ -228,13 +203,10 @@ class Clearance:
         """(N,) distances of N pairs of pieces, each at one of the postures, (N,) shares of the way along the axis of
         the first to its nearest point, and (3, N) the directions in which it gets away."""
         first, second = self._pieces[piece, 1:].T
-        (a, b), share, away = placed[:, :, run, first], np.empty(len(run)), np.empty((3, len(run)))
-        distance, axes, walls = (
-            np.empty(len(run)),
-            *map(np.flatnonzero, (second < self._capsules, second >= self._capsules)),
-        )
+        (a, b), (distance, share), away = placed[:, :, run, first], np.empty((2, len(run))), np.empty((3, len(run)))
+        axes, walls = (np.flatnonzero(each) for each in (second < self._capsules, second >= self._capsules))
         share[axes], _, between = shortest(a[:, axes], b[:, axes], *placed[:, :, run[axes], second[axes]])
-        distance[axes] = np.sqrt(dot(between, between))
+        distance[axes] = length(between)
         away[:, axes] = between / np.maximum(distance[axes], CROSSING)
         if len(walls):
             box = second[walls] - self._capsules
@@ -290,6 +262,11 @@ def dot(a: Array, b: Array) -> Array:
     return np.asarray(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
 
 
+def length(a: Array) -> Array:
+    """(...) |a| of (3, ...) vectors."""
+    return np.sqrt(dot(a, a))
+
+
 def shortest(a: Array, b: Array, c: Array, d: Array) -> tuple[Array, Array, Array]:
     """Of segments a-b and c-d (3, ...) the shares (...) of the way to their nearest points, and (3, ...) from the
     second of these to the first (C. Ericson, "Real-Time Collision Detection", 2005, section 5.1.9)."""
@@ -306,7 +283,7 @@ def from_box(points: Array, half: Array) -> Array:
     beyond = np.abs(points) - half
     away = np.maximum(beyond, 0.0)
     deepest = np.maximum(np.maximum(beyond[0], beyond[1]), beyond[2])  # thrice as fast as a reduction
-    return np.asarray(np.sqrt(dot(away, away)) + np.minimum(deepest, 0.0))
+    return np.asarray(length(away) + np.minimum(deepest, 0.0))
 
 
 def holds(capsules: Array, boxes: Array, place: Array) -> bool:
@@ -314,7 +291,7 @@ def holds(capsules: Array, boxes: Array, place: Array) -> bool:
     point, axes = np.tile(place[:, None], len(capsules)), (capsules[:, :3].T, capsules[:, 3:6].T)
     away = shortest(point, point, *axes)[2]
     along = np.einsum("kij,ki->jk", boxes[:, 3:12].reshape(-1, 3, 3), place - boxes[:, :3])
-    return bool(np.any(np.r_[np.sqrt(dot(away, away)) - capsules[:, 6], from_box(along, boxes[:, 12:].T)] <= 0.0))
+    return bool(np.any(np.r_[length(away) - capsules[:, 6], from_box(along, boxes[:, 12:].T)] <= 0.0))
 
 
 def nearest_to_box(a: Array, b: Array, half: Array) -> tuple[Array, Array]:
@@ -337,7 +314,7 @@ def nearest_to_box(a: Array, b: Array, half: Array) -> tuple[Array, Array]:
         middle = 0.5 * (low + high)
         rises = dot(out(middle), along) >= 0.0
         low, high = np.where(rises, low, middle), np.where(rises, middle, high)
-    back, ahead = (each / np.maximum(np.sqrt(dot(each, each)), TINY) for each in (out(low), out(high)))
+    back, ahead = (each / np.maximum(length(each), TINY) for each in (out(low), out(high)))
     falling, rising = dot(back, along), dot(ahead, along)
     between = (falling < 0.0) & (rising > 0.0)
     weight = np.where(between, rising / np.where(between, rising - falling, 1.0), falling >= 0.0)

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from doe.plan.moves import clearance_of, room_of, rows_of, unproven
+from doe.plan.moves import rows_of, slack_of, unproven
 from doe.problem.clearance import ROUNDING
 from doe.problem.constraints import constraints_of
 from identification import Arm, InputError, Plan, require
@@ -31,6 +31,8 @@ LANGUAGES = {
     "fanuc": ("fanuc.ls.j2", "deg", "mm", 1, 6),
     "ros": ("ros.yaml.j2", "rad", "m", 1, 99),
 }
+# what templates and their files fail with, beside what jinja finds
+FAILURES = ArithmeticError, AttributeError, LookupError, OSError, RecursionError, TypeError, ValueError
 # of [deg] and [mm], and digits: to 1e-7 deg and 1e-6 mm nothing is lost, and no exponent is needed
 UNITS = {"rad": (np.radians(1.0), 9), "deg": (1.0, 6), "m": (1e-3, 9), "mm": (1.0, 6)}
 
@@ -79,25 +81,19 @@ def program(
     require(0.0 <= settle <= 300.0, f"--settle: {settle:g} s, allowed: 0 to 300")  # a FANUC waits 327 s at most
     plan = replace(plan, joint_types=arm.joint_types)
     columns, slides = plan.displayed, np.array([unit == "mm" for unit in plan.units])
-    if robot == "ur" and slides.any():
-        raise InputError(f"--robot ur: joint {np.argmax(slides) + 1} slides, allowed: joints that turn")
+    sliding = f"--robot ur: joint {np.argmax(slides) + 1} slides, allowed: joints that turn"
+    require(robot != "ur" or not slides.any(), sliding)
     ends = np.where(slides, arm.column_limits, np.degrees(arm.column_limits))  # [deg, mm], NaN where there are none
     outside = (columns < ends[0] - 1e-4) | (columns > ends[1] + 1e-4)  # by more than rounding of files
     for row, j in np.argwhere(outside)[:1]:
         place = f"row {row + 1}: joint {j + 1} at {columns[row, j]:.7g}"
         raise InputError(f"{place}, allowed: {ends[0, j]:.7g} to {ends[1, j]:.7g}")
     constraints = constraints_of(arm)
-    clearance = clearance_of(constraints)
     for constraint in constraints:
-        # a way-point need not be seen, and where bodies are known it keeps what moves keep
-        exempt = ~plan.is_run & (constraint.kind == "line_of_sight" or clearance is not None)
-        broken = np.any(constraint.margin(plan.postures) < -ROUNDING, axis=1) & ~exempt
-        for row in np.flatnonzero(broken)[:1]:
+        slack = np.where(plan.is_run[:, None], ROUNDING, slack_of(constraint, constraints))
+        for row in np.flatnonzero(np.any(constraint.margin(plan.postures) < -slack, axis=1))[:1]:
             raise InputError(f"row {row + 1}: breaks the constraint {constraint.kind}, allowed: postures that keep it")
-    kept = room_of(clearance.model, constraints).margin(plan.postures) if clearance else np.zeros((0, 1))
-    for row in np.flatnonzero(np.any(kept < -ROUNDING, axis=1)):
-        raise InputError(f"row {row + 1}: a way-point in which bodies collide, allowed: one with half the clearance")
-    not_free = unproven(constraints, plan.postures) or []
+    not_free = unproven(constraints, plan.postures)
 
     # the moves: one from where the arm stands at first, which is not known but within the limits, then row to row
     first = np.nan_to_num(np.abs(columns[0] - ends), nan=360.0).max(axis=0)
@@ -143,19 +139,13 @@ def program(
     }
     options: dict[str, Any] = {"trim_blocks": True, "lstrip_blocks": True, "keep_trailing_newline": True}
     environment = ImmutableSandboxedEnvironment(undefined=StrictUndefined, **options)  # for a user's template
-    failures = TemplateError, ArithmeticError, AttributeError, LookupError, TypeError, ValueError, RecursionError
     written = template or Path(__file__).with_name(file)
     try:
         text = environment.from_string(written.read_text("utf-8-sig")).render(variables)
-    except OSError as error:
-        raise InputError(f"{written}: cannot be read ({error.strerror}), allowed: a file that can") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{written}: is not UTF-8, allowed: a text file in UTF-8") from None
-    except failures as error:
-        line = getattr(error, "lineno", None)
-        where = f"{written}: " if line is None else f"{written}: line {line}: "
-        allowed = f"allowed: a jinja template of the variables {', '.join(variables)}"
-        raise InputError(f"{where}{error}, {allowed}") from None
+    except (TemplateError, *FAILURES) as error:
+        where = f"{written}: line {error.lineno}" if hasattr(error, "lineno") else written
+        allowed = f"allowed: a jinja template in UTF-8 of the variables {', '.join(variables)}"
+        raise InputError(f"{where}: {error}, {allowed}") from None
     return Program(text, identifier, rows, departures[-1] / 1000.0, not_free)
 
 

@@ -12,9 +12,9 @@ import numpy as np
 
 from doe.bounds.certificate import ApproximateDesign
 from doe.design import BEST_KNOWN, Design
-from doe.plan.moves import unproven
+from doe.plan.moves import clearance_of, said_of_collisions, unproven
 from doe.plan.spacing import places_of_free_joint
-from doe.problem.clearance import Clearance, distance_in_words, said_of_collisions
+from doe.problem.clearance import distance_in_words
 from doe.problem.model import offers
 from doe.problem.problem import DesignProblem
 from doe.report.page import PlanSteps
@@ -230,9 +230,9 @@ def plan_steps(
     if plan.weights is not None or len(runs) > 200 or numbers > 150_000:
         return None
     near: list[list[dict[str, Any]]] = [[] for _ in range(len(runs))]
-    for clearance in (each for each in problem.constraints if isinstance(each, Clearance)):
-        for each in clearance.too_near(runs):
-            near[each["run"] - 1].append({"bodies": each["bodies"], "text": distance_in_words(each)})
+    clearance = clearance_of(problem.constraints)
+    for each in clearance.too_near(runs) if clearance else ():
+        near[each["run"] - 1].append({"bodies": each["bodies"], "text": distance_in_words(each)})
     if not cells:  # those of the file that it would have
         head, *lines = csv.reader(plan.text().splitlines()[bool(plan.fit) :])
         cells = {name: texts for name, *texts in zip(head, *lines, strict=True) if name != "run"}

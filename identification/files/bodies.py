@@ -245,15 +245,13 @@ def mesh_file(name: str, folders: Sequence[PathLike]) -> Path | None:
     """The file that a URDF file names, or one of the same name that can be read; None: in none of the folders;
     folders : in which it may be, that of the URDF file first, whose package (`package.xml`) is another"""
     beside, words = Path(folders[0]), PACKAGE.fullmatch(name)
-    package = next((above for above in (beside / "x").resolve().parents if (above / "package.xml").is_file()), None)
-    roots = [*map(Path, folders), *([] if package is None else [package])]
-    places = [] if words else [(root, beside / name.removeprefix("file://")) for root in roots]
-    inside = [name_beside(name), words[2] if words else None]
-    places += [(root, root / each) for each in inside if each is not None for root in roots]
-    for root, path in places:
-        readable = path.suffix.lower() in READERS
-        for file in [path] if readable else map(path.with_suffix, READERS):
-            if Path(os.path.realpath(file)).is_relative_to(os.path.realpath(root)) and os.path.isfile(file):
+    package = next((above for above in (beside / "x").resolve().parents if (above / "package.xml").is_file()), beside)
+    roots, places = [*map(Path, folders), package], [] if words else [beside / name.removeprefix("file://")]
+    places += [root / each for each in (name_beside(name), words and words[2]) if each for root in roots]
+    for path in places:
+        for file in [path] if path.suffix.lower() in READERS else map(path.with_suffix, READERS):
+            inside = map(Path(os.path.realpath(file)).is_relative_to, map(os.path.realpath, roots))
+            if any(inside) and os.path.isfile(file):
                 return file
     return None
 

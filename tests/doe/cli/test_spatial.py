@@ -14,7 +14,7 @@ import pytest
 
 from doe import DesignProblem
 from doe.cli.verbs import with_collisions
-from doe.problem.clearance import COLLISIONS
+from doe.plan.moves import COLLISIONS
 from identification import Model, Plan, design_model, estimate, load_arm, load_measurements, rms_distance
 from identification.document import Answer
 from identification.files.urdf import read_urdf

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from doe import DesignProblem
-from doe.plan.moves import MOVING, drive, one_turn, room_of, with_approach
+from doe.plan.moves import MOVING, drive, one_turn, room_of, unproven, with_approach
 from doe.problem.clearance import Clearance
 from doe.problem.constraints import constraints_of
 from identification import Arm, ArmModel, Array, EffectSpec, Model, Plan
@@ -46,6 +46,8 @@ def test_a_wall_may_be_left_and_reached_again() -> None:
     np.testing.assert_allclose(tips, 300.0)
     assert room.free(ends[:1], folded).all()
     assert not room.free(ends[:1], ends[1:]).any()  # the stretched arm reaches 500 mm
+    (move,) = unproven(constraints_of(arm), ends)
+    assert (move["row"], move["bodies"], move["distance_mm"]) == (2, ["workspace_box"], pytest.approx(-200.0, abs=0.01))
     bare = replace(arm, cell=None)  # nothing is known without bodies
     assert room_of(ArmModel(bare), constraints_of(bare)).free(ends[:1], ends[1:]).all()
 
@@ -66,8 +68,7 @@ def inside(problem: DesignProblem, way: Array) -> bool:
     clearance = next(each for each in problem.constraints if isinstance(each, Clearance))
     shares = np.linspace(0.0, 1.0, 500)[:, None]
     points = np.concatenate([a + shares * (b - a) for a, b in pairwise(way)])
-    solid = [clearance.model.cell.SIGHT not in pair for pair in clearance.pairs]
-    return bool(np.all((clearance.distance(points) >= MOVING * clearance.asked - 2e-3)[:, solid]))
+    return bool(np.all((clearance.distance(points) >= MOVING * clearance.asked - 2e-3)[:, ~clearance.of_sight]))
 
 
 def test_postures_behind_a_post_are_replaced_by_the_best_that_are_not() -> None:
