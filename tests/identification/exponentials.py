@@ -74,17 +74,22 @@ class Exponentials:
         return np.asarray(self.base @ place)
 
     def points(self, postures: Array) -> Array:
-        """(m, 3) origins of the measured frame in the frame of the base [mm]."""
-        back = np.linalg.inv(self.base)
-        return np.asarray(self.poses(postures)[:, :3, 3] @ back[:3, :3].T + back[:3, 3])
+        """(..., 3) origins of the measured frame in the frame of the base [mm]."""
+        place = self.home[:, 3]
+        for line, angles in zip(self.lines[::-1], np.moveaxis(postures, -1, 0)[::-1], strict=True):
+            moved = place @ line.T  # as `rotations`, of one point
+            place = place + np.sin(angles)[..., None] * moved + (1.0 - np.cos(angles))[..., None] * (moved @ line.T)
+        return np.asarray(place[..., :3])
 
 
 def led(q: Array, left: Callable[[Array], Array], steps: int, longest: float) -> Array:
-    """(m, n) where damped Newton steps from postures lead; left : of postures (m, n), (m, k) that is to vanish [mm]"""
+    """(m, n) where damped Newton steps from postures lead; left : of (..., m, n), (..., m, k) that is to vanish [mm]"""
+    moved = STEP * np.eye(q.shape[1])[:, None]
     for _ in range(steps):
-        slopes = np.stack([(left(q + e) - left(q - e)) / (2.0 * STEP) for e in STEP * np.eye(q.shape[1])], axis=2)
+        here, up, down = np.split(left(q + np.concatenate([0.0 * moved[:1], moved, -moved])), [1, 1 + q.shape[1]])
+        slopes = np.moveaxis(up - down, 0, 2) / (2.0 * STEP)
         across = slopes @ np.swapaxes(slopes, 1, 2) + 1e-6 * np.eye(slopes.shape[1])
-        moves = -np.einsum("mjn,mj->mn", slopes, np.linalg.solve(across, left(q)[..., None])[..., 0])
+        moves = -np.einsum("mjn,mj->mn", slopes, np.linalg.solve(across, here[0][..., None])[..., 0])
         q = q + moves * np.minimum(1.0, longest / np.maximum(np.linalg.norm(moves, axis=1), 1e-12))[:, None]
     return q
 
@@ -92,11 +97,11 @@ def led(q: Array, left: Callable[[Array], Array], steps: int, longest: float) ->
 def touching(truth: Exponentials, gap: Callable[[Array], Array], count: int, generator: np.random.Generator) -> Array:
     """(count, 6) postures whose points are on a surface: of random ones those that end within 150 degrees.
 
-    gap : of points (m, 3) in the frame of the base [mm], zero on the surface
+    gap : of points (..., 3) in the frame of the base [mm], zero on the surface
     """
 
     def left(q: Array) -> Array:
-        return gap(truth.points(q))[:, None]
+        return gap(truth.points(q))[..., None]
 
     q = led(generator.uniform(-2.0, 2.0, (3 * count, 6)), left, 50, 0.3)
     good = (np.abs(left(q)[:, 0]) < 1e-8) & (np.abs(q).max(axis=1) < 2.6)
@@ -105,12 +110,12 @@ def touching(truth: Exponentials, gap: Callable[[Array], Array], count: int, gen
 
 
 def sphere(center: Array, radius: float) -> Callable[[Array], Array]:
-    """How far points (m, 3) are outside of a sphere [mm]."""
-    return lambda points: np.linalg.norm(points - center, axis=1) - radius
+    """How far points (..., 3) are outside of a sphere [mm]."""
+    return lambda points: np.linalg.norm(points - center, axis=-1) - radius
 
 
 def plane(normal: Array, height: float) -> Callable[[Array], Array]:
-    """How high points (m, 3) are above a plane [mm]."""
+    """How high points (..., 3) are above a plane [mm]."""
     unit = normal / np.linalg.norm(normal)
     return lambda points: points @ unit - height
 

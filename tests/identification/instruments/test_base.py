@@ -122,7 +122,7 @@ def test_contacts_that_show_no_size_do_not_shrink_the_arm() -> None:
     for normal in ([0.2, 0.1, 1.0], [-1.0, 0.1, 0.2], [0.1, 1.0, 0.1]):
         height, noise = plane(np.array(normal), 200.0), 0.05 * generator.standard_normal((30, 1))
         start = generator.uniform(-2.0, 2.0, (30, 2))
-        postures.append(led(start, lambda q, h=height, e=noise: h(truth.points(q))[:, None] + e, 50, 0.3))  # type: ignore[misc]
+        postures.append(led(start, lambda q, h=height, e=noise: h(truth.points(q))[..., None] + e, 50, 0.3))  # type: ignore[misc]
     arm = Arm(replace(drawing(TWO_JOINTS), instrument=Plane()), sigma=0.05)
     data = Measurements(np.concatenate(postures), np.zeros((90, 1)), session=np.repeat(["A", "B", "C"], 30))
     fit = estimate(Model(with_sessions(arm, data)), data)
