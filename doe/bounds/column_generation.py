@@ -167,7 +167,7 @@ class ContinuousSet:
 
         def height(postures: Array, rows: NDArray[np.intp]) -> Array:
             margins = walls.values(postures)
-            inside = np.all(margins > 0.0, axis=1) & problem.feasible(postures)
+            inside = np.all(margins > 0.0, axis=1)
             logarithms = np.log(np.where(inside[:, None], margins, 1.0)).sum(axis=1)
             return np.where(inside, self.sensitivities(postures, gradient) + barrier[rows] * logarithms, -np.inf)
 
@@ -185,10 +185,9 @@ class ContinuousSet:
         for pair in float(np.abs(self.sensitivities(q, gradient)).max(initial=0.0)) * heights.T:
             barrier = pair[kind]
             q = newton_ascent(q, height, slopes, limits, problem.joint_units, 1e-3 * barrier, stop)
-            if problem.constraints:
-                # most starts share a maximum; of those within 1e-6 rad that came by the same barriers one climbs on
-                apart = distinct(np.column_stack([problem.comparable(q), kind]), 1e-6)
-                q, kind = q[apart], kind[apart]
+            # most starts share a maximum; of those within 1e-6 rad that came by the same barriers one climbs on
+            apart = distinct(np.column_stack([problem.comparable(q), kind]), 1e-6)
+            q, kind = q[apart], kind[apart]
         return q
 
 

@@ -260,25 +260,26 @@ class TipErrors:
             wide = robust_problem(problem, missing_effects(problem, runs=runs), poses=poses)
         return cls(problem, wide, tip_jacobians(wide, poses))
 
-    def of_plan(self, postures: Array, wanted: str = "effects_missing_prior") -> dict[str, float]:
-        """Of a plan (m, n) and the postures measured already, by the keys of `tip_error_mm`; of them one is `wanted`.
+    def of_plan(self, postures: Array, read: Array | None = None) -> dict[str, float]:
+        """Of a plan (m, n) and the postures measured already, by the keys of `tip_error_mm`.
 
         `model_right` : the model lacks nothing, and is fitted by least squares, of a spatial arm with the prior of its
         machining; `model_right_worst` at that of the test poses where it is largest; `effects_missing` : effects of
         typical size are missing in the model, which is fitted in the same way: the geometry absorbs what it can of
         each, the rest is error of the tip, and each posture has an error of its own beside the instrument's noise;
         `effects_missing_prior` : the same arms, fitted with the effects and their prior (`identify --library-prior`);
-        infinite where none are counted
+        infinite where none are counted;  read : its scaled Jacobians (m, d, P), then for the `fit` of the problem alone
         """
         problem, wide, p = self.problem, self.wide, self.problem.parameters
         sigma, noise = ((model.sigma or 0.0) ** 2 for model in (problem.model, wide.model))
-        information = information_matrix(np.concatenate([wide.scaled_jacobians(postures), wide.kept_jacobians]))
+        jacobians = wide.scaled_jacobians(postures) if read is None else read
+        information = information_matrix(np.concatenate([jacobians, wide.kept_jacobians]))
         posterior, singular = inverses(information[:p, :p] + np.diag(problem.precisions))
         errors = dict.fromkeys(("model_right", "effects_missing", "effects_missing_prior", "model_right_worst"), np.inf)
-        if wide.missing and wanted == "effects_missing_prior":  # of many parameters: what takes the time
+        if wide.missing and (read is None or problem.fit):  # of many parameters: what takes the time
             whole, unidentified = inverses(information + np.diag(wide.precisions))
             if not unidentified:
-                errors[wanted] = float(np.sqrt(noise * np.sum(whole * self._weight) + wide.beyond))
+                errors["effects_missing_prior"] = float(np.sqrt(noise * np.sum(whole * self._weight) + wide.beyond))
         if singular or spectrum(plan_jacobians(problem, postures), np.ones(p)).rank < p:
             return errors
         right = sigma * np.einsum("kdp,kdp->k", self._points[..., :p] @ posterior, self._points[..., :p])
@@ -333,9 +334,10 @@ class ExpectedTip:
             pool = connected(problem, random_postures(problem, min(plans * m, most), generator))
         else:
             pool = listed_candidates(problem, anywhere.choices)
-        drawn = [pool[generator.choice(len(pool), m, replace=len(pool) < m)] for _ in range(plans)]
-        plan, *random = (errors.of_plan(each, fitted)[fitted] for each in (postures, *drawn))
-        return cls(plan, np.array(random), problem.fit)
+        drawn = [generator.choice(len(pool), m, replace=len(pool) < m) for _ in range(plans)]
+        read = errors.wide.scaled_jacobians(pool)
+        random = [errors.of_plan(pool[each], read[each])[fitted] for each in drawn]
+        return cls(errors.of_plan(postures)[fitted], np.array(random), problem.fit)
 
     better = property(lambda self: float(np.mean(self.random > self.plan)))
     median = property(lambda self: float(np.median(self.random)))

@@ -220,8 +220,7 @@ class DesignProblem:
         flat = np.reshape(postures, (-1, self.joints))
         fits = np.ones(len(flat), dtype=bool)
         for constraint in self.constraints:
-            if not (left := np.flatnonzero(fits)).size:
-                break  # most random postures fail the first that fails, and geometry takes time
+            left = np.flatnonzero(fits)  # most random postures fail the first that fails, and geometry takes time
             fits[left] = np.all(constraint.margin(flat[left]) >= 0.0, axis=1)
         return fits.reshape(np.shape(postures)[:-1])
 

@@ -184,6 +184,7 @@ class Readings:
 
 
 # -- the search --------------------------------------------------------------------------------------------------------
+@lru_cache(maxsize=8)  # asked for before a fit, and again for its warnings, of the arm that was placed for it
 def read_differently(arm: Arm, measurements: Measurements, *, search: bool = True) -> Readings:
     """Look for another way to read the columns that explains the positions clearly better (`CLEARLY`).
 
@@ -198,12 +199,9 @@ def read_differently(arm: Arm, measurements: Measurements, *, search: bool = Tru
     require(measurements.links == arm.links, f"measurements: {joints}")
     # as drawn, where it stands left open, and in space what is measured on it
     chain = replace(type(arm.chain)(arm.chain.joints, arm.chain.end), settled=arm.chain.drawn & {TOOL})
-    chain = replace(chain, instrument=arm.chain.instrument.without_targets())
-    return _of_drawing(replace(arm, chain=chain, effects=(), calibration=None), measurements, search)
-
-
-@lru_cache(maxsize=4)  # asked for before a fit, and again for its warnings, of the arm that was placed for it
-def _of_drawing(arm: Arm, measurements: Measurements, search: bool) -> Readings:
+    drawn = replace(arm, chain=replace(chain, instrument=arm.chain.instrument.without_targets()))
+    if drawn != arm:  # once for all arms of one drawing
+        return read_differently(drawn, measurements, search=search)
     chain, kinds, (q, x, few) = arm.chain, arm.joint_types, _rows(arm, measurements)
     slides = np.array([kind == PRISMATIC for kind in kinds])
     turning, mirrors = np.flatnonzero(~slides).tolist(), chain.instrument.reads_positions

@@ -249,6 +249,7 @@ def test_a_plan_beside_random_ones(problem: DesignProblem) -> None:
     judged = TipErrors(problem, WIDE, tip_jacobians(WIDE, workspace(PLAIN))) if problem.fit else TipErrors.of(PLAIN)
     fitted = "effects_missing_prior" if problem.fit else "effects_missing"
     assert found.plan == pytest.approx(judged.of_plan(POSTURES)[fitted], rel=1e-9)
+    assert judged.of_plan(POSTURES, judged.wide.scaled_jacobians(POSTURES))[fitted] == pytest.approx(found.plan)
     assert len(found.random) == 50
     assert np.all(found.random > 0.0)
     said = found.to_json()

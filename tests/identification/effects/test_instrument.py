@@ -66,9 +66,9 @@ def test_it_is_estimated_and_named() -> None:
     """Distances of an independent simulator, all 0.6 mm too long: the estimate is within four of its deviations, with a
     fit that leaves the noise; `diagnose` finds it without being told."""
     generator = np.random.default_rng(5)
-    truth, q = Exponentials(generator), generator.uniform(-2.0, 2.0, (150, 6))
+    truth, q = Exponentials(generator), generator.uniform(-2.0, 2.0, (80, 6))
     center = truth.base[:3, :3] @ np.array([600.0, -200.0, 300.0]) + truth.base[:3, 3]
-    read = np.linalg.norm(truth.poses(q)[:, :3, 3] - center, axis=1) + 0.6 + 0.02 * generator.standard_normal(150)
+    read = np.linalg.norm(truth.poses(q)[:, :3, 3] - center, axis=1) + 0.6 + 0.02 * generator.standard_normal(80)
     data = Measurements(q, read[:, None])
     arm = Arm(replace(drawing(), instrument=Distance()), sigma=0.02)
     found = estimate(Model(arm.with_effects(OFFSET)), data)

@@ -258,7 +258,7 @@ PIXELS = 0.1  # [px], some 0.15 mm
 
 def test_a_camera_with_unknown_base() -> None:
     generator = np.random.default_rng(1)
-    q = generator.uniform(-2.0, 2.0, (80, 6))
+    q = generator.uniform(-2.0, 2.0, (50, 6))
     errors = {f"joint_offset:{j}": 3e-3 for j in range(2, 6)} | {"translation_x:3": 0.8, "rotation_y:4": 2e-3}
     eccentric = EffectSpec("encoder_eccentricity", 3, {"a": 1e-3, "b": 5e-4})
     chain = replace(CHAIN, instrument=Camera(), base=CAMERA)
