@@ -199,9 +199,9 @@ def read_differently(arm: Arm, measurements: Measurements, *, search: bool = Tru
     require(measurements.links == arm.links, f"measurements: {joints}")
     # as drawn, where it stands left open, and in space what is measured on it
     chain = replace(type(arm.chain)(arm.chain.joints, arm.chain.end), settled=arm.chain.drawn & {TOOL})
-    drawn = replace(arm, chain=replace(chain, instrument=arm.chain.instrument.without_targets()))
-    if drawn != arm:  # once for all arms of one drawing
-        return read_differently(drawn, measurements, search=search)
+    as_drawn = replace(arm, chain=replace(chain, instrument=arm.chain.instrument.without_targets()))
+    if as_drawn != arm:  # once for all arms of one drawing
+        return read_differently(as_drawn, measurements, search=search)
     chain, kinds, (q, x, few) = arm.chain, arm.joint_types, _rows(arm, measurements)
     slides = np.array([kind == PRISMATIC for kind in kinds])
     turning, mirrors = np.flatnonzero(~slides).tolist(), chain.instrument.reads_positions

@@ -28,7 +28,7 @@ HANGS = 600  # [s] after which a cell is given up; how long they may take is for
 SMALLER = {  # notebook -> what the reader sees, and what runs instead of it
     "2": [("range(4, 21)", "(4, 12, 20)")],
     "3": [
-        ("tolerance=1e-4", "tolerance=1e-3"),
+        ("tolerance=1e-4", "tolerance=1e-2"),
         ("starts=20,", "starts=8,"),
         ("(50_000, 4)", "(5_000, 4)"),
         ("between=4, pause=2", "between=1, pause=1"),
