@@ -203,7 +203,7 @@ def read_differently(arm: Arm, measurements: Measurements, *, search: bool = Tru
     if as_drawn != arm:  # once for all arms of one drawing
         return read_differently(as_drawn, measurements, search=search)
     chain, kinds, (q, x, few) = arm.chain, arm.joint_types, _rows(arm, measurements)
-    slides = np.array([kind == PRISMATIC for kind in kinds])
+    slides, frames_at = np.array([kind == PRISMATIC for kind in kinds]), chain.frames_at({})
     turning, mirrors = np.flatnonzero(~slides).tolist(), chain.instrument.reads_positions
     hopeless = np.inf  # of what is left more than this: no hope, and a search for lengths may end early
 
@@ -211,7 +211,7 @@ def read_differently(arm: Arm, measurements: Measurements, *, search: bool = Tru
         """With where the drawing stands by it."""
         positions = x * reading.scaled
         positions[:, -1] *= -1.0 if reading.mirrored else 1.0
-        frames = chain.tip_frames(reading.postures(q * np.where(slides, 1.0, reading.turned)))
+        frames = frames_at(reading.postures(q * np.where(slides, 1.0, reading.turned)))[:, -2]  # of the tip
         tool = np.zeros(3) if TOOL in chain.settled else None
         place = chain.instrument.place(Unplaced(frames, positions, chain.reach, tool=tool, hopeless=hopeless))
         return replace(reading, base=place.base, rms=place.rms)
