@@ -10,12 +10,8 @@ import sys
 sys.dont_write_bytecode = False  # some environments ask for it: each worker, kernel and process would compile anew
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 os.environ.pop("COLUMNS", None)  # a library that edits lines sets it for the workers; tests expect the width of a pipe
-for _name in (
-    "OPENBLAS_NUM_THREADS",
-    "OMP_NUM_THREADS",
-    "MKL_NUM_THREADS",
-    "POLARS_MAX_THREADS",
-):  # xdist fills the cores
+# xdist fills the cores
+for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "POLARS_MAX_THREADS"):
     os.environ.setdefault(_name, "1")
 
 import pytest

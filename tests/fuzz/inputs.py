@@ -193,9 +193,8 @@ def arms(draw: st.DrawFn, kind: str) -> str:
 
 # -- tables ------------------------------------------------------------------------------------------------------------
 Number = Callable[[int], object]
-FURTHER: dict[
-    str, dict[str, Number]
-] = {  # columns that tables may have besides: of each a function of the row's number
+# columns that tables may have besides: of each a function of the row's number
+FURTHER: dict[str, dict[str, Number]] = {
     "order": {"order": lambda k: k},
     "time": {"time_s": lambda k: 7.5 * k},
     "session": {"session": lambda k: f"day {1 + k // 20}"},

@@ -17,8 +17,6 @@ TABLE = (  # a [mm], alpha [rad], d [mm] of the drawing
     *((0.0, HALF, 300.0), (-420.0, 0.0, 0.0), (-390.0, 0.0, 0.0)),
     *((0.0, HALF, 130.0), (0.0, -HALF, 100.0), (0.0, 0.0, 80.0)),
 )
-
-
 SEVEN = (  # the same with an elbow that swings out
     *((0.0, HALF, 340.0), (0.0, -HALF, 0.0), (0.0, HALF, 400.0), (0.0, -HALF, 0.0), (0.0, HALF, 400.0)),
     *((0.0, -HALF, 0.0), (0.0, 0.0, 126.0)),

@@ -94,9 +94,8 @@ def test_chosen_postures_beat_random_ones() -> None:
         chances.append(rivals.right * rivals.weights @ chance.min(axis=1))
     assert best.chance >= max(chances)
     assert best.chance <= sum(c.probability for c in found.candidates)  # perhaps none of them is right
-    assert str(best).endswith(
-        f"alone is left: at most {100.0 * best.chance:.0f} %, by a linear estimate"
-    )  # named from half on
+    # named from half on
+    assert str(best).endswith(f"alone is left: at most {100.0 * best.chance:.0f} %, by a linear estimate")
 
 
 def ctrl_c() -> bool:
