@@ -154,6 +154,11 @@ def hull(points: Array) -> Array:
     return np.asarray(faces)
 
 
+def rounded(capsule: Array) -> Array:
+    """(t, 3, 3) faces of a capsule (7,), as `hull` has them."""
+    return hull(np.concatenate([capsule[:3] + capsule[6] * BALL, capsule[3:6] + capsule[6] * BALL]))
+
+
 def cut(triangles: Array, longest: float) -> Array:
     """Triangles (t, 3, 3) as faces (f, 3, 3) without a longer edge: halved across the longest one, again and again."""
     done = [np.empty((0, 3, 3))]
@@ -198,9 +203,8 @@ class Body(ByValue):
         """(t, 3, 3) what it looks like: its own triangles, or else those of its pieces."""
         if len(self.triangles):
             return self.triangles
-        rods = [np.concatenate([rod[:3] + rod[6] * BALL, rod[3:6] + rod[6] * BALL]) for rod in self.capsules]
-        bricks = [box[:3] + (CUBE * box[12:]) @ box[3:12].reshape(3, 3).T for box in self.boxes]
-        return np.concatenate([np.empty((0, 3, 3)), *map(hull, rods + bricks)])
+        bricks = (box[:3] + (CUBE * box[12:]) @ box[3:12].reshape(3, 3).T for box in self.boxes)
+        return np.concatenate([self.triangles, *map(rounded, self.capsules), *map(hull, bricks)])
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,7 +28,7 @@ from identification.errors import InputError, require
 from identification.files.io import PathLike, decode, read_bytes
 from identification.files.urdf import METER, Urdf, read_urdf, xml_root
 from identification.kinematics.frames import pose, rotation_to_z
-from identification.workspace import CUBE, Body, Z, hull, ring
+from identification.workspace import CUBE, Body, Z, hull, ring, rounded
 
 SIZES = {  # of a `<collision>` -> how many numbers each has
     "box": {"size": 3},
@@ -37,6 +37,7 @@ SIZES = {  # of a `<collision>` -> how many numbers each has
     "capsule": {"radius": 1, "length": 1},
     "mesh": {"scale": 3},
 }
+ROUND = ("sphere", "capsule")  # what a capsule is exactly
 PACKAGE = re.compile(r"(?:package|model)://([^/]+)/(.+)")
 
 
@@ -115,16 +116,17 @@ class Shape(ByValue):
         return np.r_[self.place[:3, 3] - half, self.place[:3, 3] + half, self.size[0]]
 
     def triangles(self) -> Array:
-        """(t, 3, 3) [mm] of the surface in its own frame, of a cylinder that of a prism around it; of what a capsule
-        is exactly, none. Raises `InputError` for a mesh that cannot be read."""
+        """(t, 3, 3) [mm] of the surface in its own frame, of a cylinder that of a prism around it. Raises `InputError`
+        for a mesh that cannot be read."""
         if self.kind == "mesh":
             return read_mesh(self.file) * self.size
         if self.kind == "box":
             return hull(0.5 * self.size * CUBE)
-        if self.kind == "cylinder":
-            rim, up = self.size[0] / np.cos(np.pi / 48) * ring(Z), 0.5 * self.size[1] * Z  # 48 sides
-            return hull(np.concatenate([rim + up, rim - up]))
-        return np.empty((0, 3, 3))
+        up = 0.5 * self.size[1:].sum() * Z
+        if self.kind in ROUND:
+            return rounded(np.r_[-up, up, self.size[0]])
+        rim = self.size[0] / np.cos(np.pi / 48) * ring(Z)  # 48 sides
+        return hull(np.concatenate([rim + up, rim - up]))
 
 
 def collisions(urdf: Urdf, link: str) -> list[Shape]:
@@ -165,8 +167,8 @@ def covered(name: str, joint: int, shapes: Sequence[Shape], reach: float, foot: 
             state = f"body {name} is {long:.4g} mm long beside an arm that reaches {reach:.4g} mm, like {unit}"
             raise InputError(f"{shape.file}: {state}, allowed: another unit or scale")
     drawn = [own @ s.place[:3, :3].T + s.place[:3, 3] for s, own in zip(shapes, triangles, strict=True)]
-    capsules = np.reshape([shape.capsule for shape in shapes if shape.kind in ("sphere", "capsule")], (-1, 7))
-    rest, boxes = [k for k, own in enumerate(triangles) if len(own)], np.empty((0, 15))
+    capsules = np.reshape([shape.capsule for shape in shapes if shape.kind in ROUND], (-1, 7))
+    rest, boxes = [k for k, shape in enumerate(shapes) if shape.kind not in ROUND], np.empty((0, 15))
     if rest:
         solid = np.concatenate([drawn[k] for k in rest])
         size = np.ptp(solid, axis=(0, 1))

@@ -190,6 +190,14 @@ def test_bodies_of_a_planar_arm(tmp_path: Path) -> None:
     np.testing.assert_allclose(seen, [400, 0, 0, np.cos(np.pi / 6), 0.5, 10, 150], atol=1e-9)
 
 
+def test_every_part_of_a_body_is_drawn(tmp_path: Path) -> None:
+    """A box around the joint, and a ball beside it, of which no point is farther than 130 mm."""
+    part = '[[cell.bodies]]\nname = "tool"\njoint = 2\n'
+    parts = 'kind = "box"\nsize_mm = [40.0, 40.0]\n', 'kind = "sphere"\ncenter_mm = [100.0, 0.0]\nradius_mm = 30.0\n'
+    corners = bodies(loaded(tmp_path, PLAIN + "".join(part + each for each in parts)))["tool"].looks()
+    np.testing.assert_allclose([corners.min(axis=(0, 1))[0], corners.max(axis=(0, 1))[0]], [-20.0, 130.0], atol=0.3)
+
+
 def test_bodies_of_an_arm_in_space(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where they are; and an arm with bodies travels to other processes, whose meshes are read when they are asked for,
     not by commands that do not ask."""
