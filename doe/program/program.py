@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from doe.plan.moves import rows_of, slack_of, unproven
-from doe.problem.clearance import ROUNDING
+from doe.problem.clearance import ROUNDING, Clearance
 from doe.problem.constraints import constraints_of
 from identification import Arm, InputError, Plan, require
 
@@ -91,8 +91,10 @@ def program(
     constraints = constraints_of(arm)
     for constraint in constraints:
         slack = np.where(plan.is_run[:, None], ROUNDING, slack_of(constraint, constraints))
-        for row in np.flatnonzero(np.any(constraint.margin(plan.postures) < -slack, axis=1))[:1]:
-            raise InputError(f"row {row + 1}: breaks the constraint {constraint.kind}, allowed: postures that keep it")
+        for row, k in np.argwhere(constraint.margin(plan.postures) < -slack)[:1]:
+            bodies = f" of {' and '.join(constraint.pairs[k])}" if isinstance(constraint, Clearance) else ""
+            broken = f"breaks the constraint {constraint.kind}{bodies}"
+            raise InputError(f"row {row + 1}: {broken}, allowed: postures that keep it")
     not_free = unproven(constraints, plan.postures)
 
     # the moves: one from where the arm stands at first, which is not known but within the limits, then row to row

@@ -65,7 +65,6 @@ def samples(arm: Arm, posture: Array, name: str, count: int = 120) -> list[tuple
     shares = np.linspace(0.0, 1.0, count)[:, None]
     if name == Cell.SIGHT:
         return [(TRACKER + shares * (frames[-1, :3, 3] - TRACKER), 0.0)]
-    assert arm.cell is not None
     body = next(body for body in arm.cell.bodies if body.name == name)
     frame = np.eye(4) if body.joint == 0 else frames[body.joint - 1]
     local = [(row[:3] + shares * (row[3:6] - row[:3]), row[6]) for row in body.capsules]
@@ -80,7 +79,6 @@ def sampled_distance(arm: Arm, posture: Array, pair: tuple[str, str]) -> float:
         second = samples(arm, posture, pair[1])
         gaps = [(p[:, None] - q, r + s) for p, r in first for q, s in second]
         return min(float(np.linalg.norm(gap, axis=2).min()) - radii for gap, radii in gaps)
-    assert arm.cell is not None
     table, least = next(body for body in arm.cell.bodies if body.name == "table"), np.inf
     for points, radius in first:
         for box in table.boxes:
@@ -195,7 +193,6 @@ def test_a_planar_arm_and_spheres() -> None:
     fold = np.array([0.5, 1.0, 2.0, 3.0])
     postures = np.column_stack([np.full(4, 0.7), fold])
     (clearance,) = constraints_of(Model(arm))
-    assert isinstance(clearance, Clearance)
     assert clearance.not_looked_at() == ["Not looked at, since no body is known that moves with: joint 1."]
     np.testing.assert_allclose(Walls([clearance]).values(postures), clearance.margin(postures))
     np.testing.assert_allclose(clearance.margin(postures)[:, 0], 800.0 * np.cos(fold / 2.0) - 60.0, atol=1e-9)

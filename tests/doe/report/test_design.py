@@ -38,7 +38,6 @@ def test_a_robust_plan_is_judged_by_millimetres() -> None:
     bound = Bound(-1.0, "grid", True, candidates=2000)
     design = score(wide, np.random.default_rng(3).uniform(-1.0, 1.0, (8, 3)), bound)
     said = " ".join(str(Document(parts=[design_facts(design)])).split())
-    assert design.expected_error is not None
     assert re.search(r"efficiency 0.0\d+ of the bound \(the list of 2,000 postures, proven\)", said)
     assert "RMS over the workspace or --test-poses, if fitted by armcal identify --library" in design_verdict(design)
     few = replace(design, problem=replace(wide, choices=design.plan.postures))
@@ -93,7 +92,6 @@ def test_the_log_det_of_a_plan_follows_from_what_the_page_has(arm: Arm, joints: 
     via = np.arange(runs + 1) == 3
     whole = Plan(np.random.default_rng(1).uniform(-2.0, 2.0, (runs + 1, joints)), via=via)
     plan, steps = Plan(whole.measured), plan_steps(problem(arm), whole)
-    assert steps is not None
     p = steps["parameters"]
     rows = np.array(steps["jacobians"]).reshape(-1, p)
     log_det = np.linalg.slogdet((rows.T @ rows + np.diag(steps["precisions"])) / runs)[1]
@@ -105,7 +103,6 @@ def test_the_log_det_of_a_plan_follows_from_what_the_page_has(arm: Arm, joints: 
 
 def test_outlines_of_a_plane_lie_on_what_they_show() -> None:
     steps = plan_steps(problem(ARM), Plan(np.ones((4, 2))))
-    assert steps is not None
     box, circle, cone = (np.array(one["line"]) for one in steps["outlines"])
     assert [one["forbidden"] for one in steps["outlines"]] == [False, True, False]
     assert (box.min(axis=0).tolist(), box.max(axis=0).tolist()) == ([-500.0, -400.0], [500.0, 600.0])
@@ -121,7 +118,6 @@ def test_the_edited_plan_keeps_the_columns_of_its_file(tmp_path: Path) -> None:
     with pytest.warns(UserWarning, match="note"):
         file = Plan.load(path)
     steps = plan_steps(problem(ARM), file, "mine")
-    assert steps is not None
     assert steps["columns"] == ["q1_deg", "q2_deg", "payload_kg", "note"]
     assert steps["rows"] == [["1.5", "-20", "2.5", "a, b"], ["30", "40", "0", "c"]]
     assert steps["file"] == "mine-edited.csv"
