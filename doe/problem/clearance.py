@@ -302,18 +302,19 @@ def nearest_to_box(a: Array, b: Array, half: Array) -> tuple[Array, Array]:
     two faces: the direction is that mixture of both from which the segment does not slide away.
     """
 
-    def out(share: Array) -> Array:  # of the nearest face, edge or corner, of any length
-        point = a + share * along
-        beyond = np.abs(point) - half
+    def out(share: Array, rows: Any = slice(None)) -> Array:  # of the nearest face, edge or corner, of any length
+        point = a[:, rows] + share * along[:, rows]
+        beyond = np.abs(point) - half[:, rows]
         deepest = np.maximum(np.maximum(beyond[0], beyond[1]), beyond[2])
         return np.copysign(np.where(deepest > 0.0, np.maximum(beyond, 0.0), beyond == deepest), point)
 
     along, start, end = b - a, np.zeros(a.shape[1]), np.ones(a.shape[1])
     low, high = np.where(dot(out(end), along) < 0.0, end, start), np.where(dot(out(start), along) >= 0.0, start, end)
-    while np.any(high - low > 1e-6):  # of the way
-        middle = 0.5 * (low + high)
-        rises = dot(out(middle), along) >= 0.0
-        low, high = np.where(rises, low, middle), np.where(rises, middle, high)
+    within = np.flatnonzero(low < high)  # of most the nearest point is an end
+    while np.any(high[within] - low[within] > 1e-6):  # of the way
+        middle = 0.5 * (low[within] + high[within])
+        rises = dot(out(middle, within), along[:, within]) >= 0.0
+        low[within], high[within] = np.where(rises, [low[within], middle], [middle, high[within]])
     back, ahead = (each / np.maximum(length(each), TINY) for each in (out(low), out(high)))
     falling, rising = dot(back, along), dot(ahead, along)
     between = (falling < 0.0) & (rising > 0.0)
