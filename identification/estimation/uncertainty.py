@@ -13,7 +13,7 @@ groups), with the larger variance of the two groupings, and never less than that
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -340,32 +340,38 @@ def outlying(residual: Array, blocks: Array, moment: Array | float = 0.0) -> NDA
     # as unlikely as 6 standard deviations in a plane: at most 3 in 10,000 clean data sets of 8 to 200 rows lose a row;
     # at 4 it would be 3 to 70 in 1,000, at 3 from 4 % to 89 %
     kept, limit = np.ones(m, dtype=bool), float(chdtri(d, chdtrc(2, 6.0**2)))
+    fits, out = studentised(residual, blocks, moment), None
     while np.mean(kept) >= 0.75:  # derived: the robust scale is then 1.26 times too large; more is structure
-        squares = studentised(residual, blocks, kept, moment)
+        squares = fits.send(out)
         worst = np.argsort(squares)[-(1 + m // 1000) :]  # several at once only to save effort
         if squares[worst[-1]] <= limit:
             return ~kept
-        kept[worst[squares[worst] > limit]] = False
+        out = worst[squares[worst] > limit]
+        kept[out] = False
     return np.zeros(m, dtype=bool)
 
 
-def studentised(residual: Array, blocks: Array, kept: NDArray[np.bool_], moment: Array | float) -> Array:
-    """(m,) squared residual of each row of residual (m, d) in units of its own covariance and of the robust scale of
-    the kept rows, after a fit to these; 0 of the others.
+def studentised(residual: Array, blocks: Array, moment: Array | float = 0.0) -> Generator[Array, Groups | None]:
+    """Yields (m,) squared residuals of rows of residual (m, d) in units of their own covariance and of the robust scale
+    of the kept rows, after a fit to these; 0 of the others. Rows whose numbers are sent are taken out.
 
     blocks : (m, d, k) columns that are orthonormal together with rows of a prior
     moment : (k,) of these rows, times their residuals; 0: no prior
     """
-    d, k = blocks.shape[1:]
-    kept_blocks, inside, squares, left_out = blocks[kept], residual[kept], np.zeros(len(kept)), blocks[~kept]
-    flat = kept_blocks.reshape(inside.size, k)
-    # all rows together are orthonormal: those that are kept make up for what the others leave of that
-    inverse = product_inverse(np.eye(k) - np.einsum("mdk,mdl->kl", left_out, left_out)) if len(left_out) else np.eye(k)
-    off = inside - kept_blocks @ (inverse @ (flat.T @ inside.reshape(-1) + moment))
-    rest = (1.0 + 1e-6) * np.eye(d) - (flat @ inverse).reshape(kept_blocks.shape) @ kept_blocks.transpose(0, 2, 1)
-    each = np.einsum("mi,mi->m", off, np.linalg.solve(rest, off[..., None])[..., 0])
-    squares[kept] = each / max(np.median(each) / chdtri(d, 0.5), 1e-300)  # the median of chi-square is kept
-    return squares
+    (m, d, k), kept = blocks.shape, np.ones(len(residual), dtype=bool)
+    inverse, moment = np.eye(k), np.einsum("mdk,md->k", blocks, residual) + moment
+    rest = (1.0 + 1e-6) * np.eye(d) - blocks @ blocks.transpose(0, 2, 1)
+    while True:
+        off, squares = (residual - blocks @ (inverse @ moment))[kept], np.zeros(m)
+        each = np.einsum("mi,mi->m", off, np.linalg.solve(rest[kept], off[..., None])[..., 0])
+        squares[kept] = each / max(np.median(each) / chdtri(d, 0.5), 1e-300)  # the median of chi-square is kept
+        out = yield squares
+        # all rows together are orthonormal: of the normal matrix the part of some is taken off (M. A. Woodbury, 1950)
+        kept[out], lost = False, blocks[out].reshape(-1, k)
+        taken = inverse @ lost.T
+        gain, moved = product_inverse(np.eye(len(lost)) - lost @ taken), blocks @ taken
+        rest, inverse = rest - moved @ gain @ moved.transpose(0, 2, 1), inverse + taken @ gain @ taken.T
+        moment = moment - residual[out].reshape(-1) @ lost
 
 
 def together(outlier: NDArray[np.bool_], postures: Array, numbers: Groups) -> NDArray[np.bool_]:
