@@ -184,8 +184,8 @@ def conditional_covariance(covariance: Array, kept: Index, conditioned: Index) -
     scale = np.where(sizes > 0.0, sizes, np.inf)
     values, vectors = np.linalg.eigh(covariance[np.ix_(every, every)] / np.outer(scale, scale))
     root, others = np.split(vectors * np.sqrt(values.clip(min=0.0)), [len(kept)])
-    _, lengths, turn = np.linalg.svd(others, full_matrices=False)
-    fixed = turn[np.square(lengths) > VISIBLE]
+    values, vectors = np.linalg.eigh(others @ others.T)
+    fixed = (vectors[:, values > VISIBLE] / np.sqrt(values[values > VISIBLE])).T @ others
     root = sizes[: len(kept), None] * (root - root @ fixed.T @ fixed)
     return np.asarray(root @ root.T)
 
