@@ -181,14 +181,9 @@ class Fitted:
         return self.rows.whiten(self.linearized[1])
 
     @cached_property
-    def rank(self) -> int:
-        """Number of parameter combinations that the data determine."""
-        return spectrum(self.jacobian, self.model.scales).rank
-
-    @cached_property
     def freedom(self) -> int:
         """Residual degrees of freedom; parameter combinations that the data do not determine cost none."""
-        return len(self.residual) - self.rank
+        return len(self.residual) - spectrum(self.jacobian, self.model.scales).rank
 
     @cached_property
     def sigma(self) -> float:

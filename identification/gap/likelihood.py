@@ -1,20 +1,19 @@
 """Marginal likelihood of sets of blocks, in the space of their columns, whose products G = Z^T Z, c = Z^T y and y^T y
 are projected off the base (identification/README.md, "One posterior").
 
-What a set leaves of all columns is V = Z^T (I + Z_A D^2 Z_A^T)^-1 Z; of it the blocks' own parts are kept. With one
-block more or less, V changes by a term of that block's rank (M. A. Woodbury, 1950).
+What a set leaves of all columns is V = Z^T (I + Z_A D^2 Z_A^T)^-1 Z. Of a set that differs from another by a few blocks
+it differs by a term of their rank (M. A. Woodbury, 1950), so that what is known of one serves all that are like it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import lapack, solve_triangular
+from scipy.linalg import lapack
 from scipy.special import log_ndtr
 
 from identification.arrays import Array
@@ -23,11 +22,11 @@ from identification.information import VISIBLE, significant
 # of a block's contribution, in standard deviations of the noise. Prior: from what can just not be seen by itself to a
 # tenth of the reach, equally spaced in log lambda
 SIZES: Array = 3.0 * np.exp2(np.arange(14))
+CHANGED = 96  # effort: columns by which a set differs from the one that it is computed from
 LEAST = 1e-14  # of y^T y, and of a probability of 1; numerical: what rounding leaves of a sum
 
 Index = NDArray[np.int64]
 Key = tuple[tuple[int, int], ...]  # blocks with the numbers of their sizes, ascending
-Remaining = tuple[Array, tuple[Array, ...]]  # of all columns, `State.remaining`
 
 
 def orthonormal(gram: Array, tolerance: float = VISIBLE) -> Array:
@@ -78,15 +77,16 @@ class Products:
 
     def state(self, pairs: Sequence[tuple[int, int]] = ()) -> State:
         """The set of these blocks with the numbers of their sizes."""
-        return State(self, tuple(pairs))
+        return State(self, tuple(sorted(pairs)))
 
     def added(self, state: State) -> Array:
-        """(B, S) log likelihood ratio of each block added to a set, or in it, for each size."""
-        values, parts = np.empty(len(self.right)), np.empty(len(self.right))
-        scores, within = state.remaining
+        """(B, S) log likelihood ratio of each block added to a set, for each size; one in it does nothing."""
+        values, parts = np.zeros((2, len(self.right)))
+        outside, (scores, within) = np.repeat(state.variances == 0.0, self.widths), state.remaining
         for index, own in zip(self.alike, within, strict=True):
-            values[index], vectors = np.linalg.eigh(own)
-            parts[index] = (scores[index][:, None, :] @ vectors)[:, 0]
+            chosen = index[out := outside[index[:, 0]]]
+            values[chosen], vectors = np.linalg.eigh(own[out])
+            parts[chosen] = (scores[chosen][:, None, :] @ vectors)[:, 0]
         squared, starts = np.square(SIZES)[:, None], self.starts[:-1]
         spread = 1.0 + squared * np.maximum(values, 0.0)  # (S, P)
         gains = np.add.reduceat(squared * np.square(parts) / spread, starts, axis=1)  # (S, B)
@@ -119,20 +119,13 @@ def mixed(states: Sequence[State], shares: Array) -> tuple[Array, Array, float]:
 class State:
     """A set of blocks with their sizes, and k columns, those of one block after the other.
 
-    pairs : the blocks, in any order, with the numbers of their sizes;  computed : name -> what is known already
+    key : the blocks, ascending, with the numbers of their sizes
+    like : a set that differs by few columns, from which this one is computed; None: it is computed by itself
     """
 
     products: Products
-    pairs: Key
-    computed: Mapping[str, Any] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        self.__dict__.update(self.computed)
-
-    @cached_property
-    def key(self) -> Key:
-        """Its blocks, ascending, with the numbers of their sizes."""
-        return tuple(sorted(self.pairs))
+    key: Key
+    like: State | None = None
 
     @cached_property
     def blocks(self) -> tuple[int, ...]:
@@ -142,19 +135,19 @@ class State:
     @cached_property
     def columns(self) -> Index:
         """(k,) of its columns among all."""
-        return self.products.columns_of([block for block, _ in self.pairs])
+        return self.products.columns_of(self.blocks)
 
     @cached_property
     def sizes(self) -> Array:
         """(k,) s of the columns."""
-        return np.repeat(SIZES[[s for _, s in self.pairs]], self.products.widths[[b for b, _ in self.pairs]])
+        return np.repeat(SIZES[[s for _, s in self.key]], self.products.widths[[*self.blocks]])
 
     @cached_property
     def factor(self) -> Array:
         """(k, k) lower Cholesky factor of G_A + D^-2, whose inverse is the coefficients' covariance for unit sigma."""
         inner = self.products.gram[np.ix_(self.columns, self.columns)]
         inner[np.diag_indices(len(inner))] += self.sizes**-2.0
-        return np.asarray(lapack.dpotrf(inner.T, lower=1, clean=1, overwrite_a=1)[0]) if self.pairs else inner
+        return np.asarray(lapack.dpotrf(inner.T, lower=1, clean=1, overwrite_a=1)[0]) if self.key else inner
 
     def solve(self, table: Array) -> Array:
         """(k, n) of the coefficients' covariance, for unit sigma, times a table (k, n)."""
@@ -163,7 +156,7 @@ class State:
     @cached_property
     def covariance(self) -> Array:
         """(k, k) of its coefficients, for unit sigma."""
-        half = lapack.dpotri(self.factor, lower=1)[0] if self.pairs else self.factor
+        half = lapack.dpotri(self.factor, lower=1)[0] if self.key else self.factor
         return np.asarray(half + np.tril(half, -1).T)
 
     @cached_property
@@ -172,75 +165,90 @@ class State:
         return self.solve(self.products.right[self.columns][:, None])[:, 0]
 
     @cached_property
-    def squares(self) -> float:
-        """R, not below rounding."""
-        whole = self.products.squares
-        return max(whole - float(self.mean @ self.products.right[self.columns]), LEAST * whole, 1e-300)
+    def variances(self) -> Array:
+        """(B,) s^2 of all blocks, 0 of those outside."""
+        values = np.zeros(len(self.products.widths))
+        values[[*self.blocks]] = np.square(SIZES[[size for _, size in self.key]])
+        return values
 
     @cached_property
-    def remaining(self) -> Remaining:
+    def taken(self) -> Array:
+        """(k, P) by how much its coefficients take up a unit of each column."""
+        return np.asarray(self.covariance @ self.products.gram[self.columns])
+
+    @cached_property
+    def change(self) -> tuple[Array, Array, Array, float]:
+        """From the set that it is like: (q, P) rows of V of the columns with another s^2, times their own s^2 if there
+        was one, and their scores (q,); by how much V changes, -rows^T inner rows, its (q, q) inner; and the volume."""
+        like = self if self.like is None else self.like
+        differs, widths = self.variances != like.variances, self.products.widths
+        place = np.flatnonzero(np.repeat(differs, widths)[like.columns])
+        further, n = self.products.columns_of(np.flatnonzero(differs & (like.variances == 0.0)).tolist()), len(place)
+        left = self.products.gram[further] - self.products.gram[np.ix_(further, like.columns)] @ like.taken
+        rows, columns = np.concatenate([like.taken[place], left]), np.concatenate([like.columns[place], further])
+        scores = np.concatenate([like.mean[place], like.remaining[0][further]])
+        old, new = (np.repeat(state.variances, widths)[columns] for state in (like, self))
+        factor = np.where(old > 0.0, old, 1.0)
+        inner = rows[:, columns]
+        inner[:n, :n], inner[n:, :n] = -like.covariance[np.ix_(place, place)], inner[:n, n:].T
+        inner += np.diag(factor * (factor / (new - old) + (old > 0.0)))
+        volume = np.linalg.slogdet(inner)[1] + np.sum(np.log(np.abs(new - old) / factor**2))
+        return rows, scores, np.linalg.inv(inner), float(volume)
+
+    @cached_property
+    def remaining(self) -> tuple[Array, tuple[Array, ...]]:
         """What the set leaves of all columns: (P,) V's counterpart of c, and of each group of `Products.alike` the
         blocks' own parts of V."""
-        rows = self.products.gram[self.columns]
-        within = tuple(self.products.gram[i[:, :, None], i[:, None, :]] for i in self.products.alike)
-        return self._moved((self.products.right, within), self.mean, rows, -self.solve(rows))
+        if self.like is None:
+            gram, mean, rows, taken = self.products.gram, self.mean, self.products.gram[self.columns], self.taken
+            scores, within = self.products.right, tuple(gram[i[:, :, None], i[:, None, :]] for i in self.products.alike)
+        else:
+            (scores, within), (rows, missed, inner, _) = self.like.remaining, self.change
+            mean, taken = inner @ missed, inner @ rows
+        one, other = np.ascontiguousarray(rows.T), np.ascontiguousarray(taken.T)
+        pairs = zip(self.products.alike, within, strict=True)
+        return scores - one @ mean, tuple(part - one[i] @ other[i].transpose(0, 2, 1) for i, part in pairs)
 
-    def _moved(self, left: Remaining, mean: Array, one: Array, other: Array) -> Remaining:
-        """`remaining` for V + one^T other, with (v, P) each, where rows `one` have coefficients (v,)."""
-        pairs = zip(self.products.alike, left[1], strict=True)
-        within = tuple(part + one[:, i].transpose(1, 2, 0) @ other[:, i].transpose(1, 0, 2) for i, part in pairs)
-        return left[0] - mean @ one, within
+    @cached_property
+    def evidence(self) -> tuple[float, float]:
+        """R, not below rounding, and log |I + D G_A D|."""
+        if self.like is None:
+            left = self.products.squares - float(self.mean @ self.products.right[self.columns])
+            volume = 2.0 * float(np.sum(np.log(np.diag(self.factor) * self.sizes)))
+        else:
+            _, missed, inner, more = self.change
+            left, volume = self.like.squares - float(missed @ inner @ missed), self.like.evidence[1] + more
+        return max(left, LEAST * self.products.squares, 1e-300), volume
 
-    @property
-    def variance(self) -> float:
-        """Of the noise."""
-        return self.squares / max(self.products.freedom, 1)
+    squares = property(lambda self: self.evidence[0])
+    variance = property(lambda self: self.squares / max(self.products.freedom, 1))  # of the noise
 
     @property
     def ratio(self) -> float:
         """Log likelihood ratio against nothing missing, signs left out."""
-        volume = 2.0 * float(np.sum(np.log(np.diag(self.factor) * self.sizes)))
         share = self.squares / max(self.products.squares, 1e-300)
-        return -0.5 * volume - 0.5 * self.products.freedom * float(np.log(share))
+        return -0.5 * self.evidence[1] - 0.5 * self.products.freedom * float(np.log(share))
 
     @property
     def signed(self) -> float:
         """Log of the factor by which the signs that physics allows make the set likelier."""
-        chosen = [block for block, _ in self.pairs]
-        signs = np.repeat(self.products.signs[chosen], self.products.widths[chosen])
+        signs = np.repeat(self.products.signs, self.products.widths)[self.columns]
         spread = np.diag(self.solve(np.eye(len(signs))[:, signs])[signs])
         deviations = np.sqrt(np.maximum(spread * self.variance, 1e-300))
         return float(np.sum(np.log(2.0) + log_ndtr(self.mean[signs] / deviations)))
 
-    def without(self, block: int | None) -> State:
-        """The set without one of its blocks; None: itself."""
-        if block is None:
-            return self
-        number = next(k for k, (b, _) in enumerate(self.pairs) if b == block)
-        first = len(self.products.columns_of([b for b, _ in self.pairs[:number]]))
-        out = slice(first, first + int(self.products.widths[block]))
-        part = self.solve(np.eye(len(self.columns))[:, out]).T
-        # by what V is larger in the block's coefficients, and how they take up a unit of each column
-        inner, taken = np.linalg.inv(part[:, out]), part @ self.products.gram[self.columns]
-        remaining = self._moved(self.remaining, -inner @ self.mean[out], taken, inner @ taken)
-        squares = self.squares + float(self.mean[out] @ inner @ self.mean[out])
-        fewer = self.pairs[:number] + self.pairs[number + 1 :]
-        return State(self.products, fewer, {"squares": squares, "remaining": remaining})
+    def without(self, block: int) -> State:
+        """The set without one of its blocks."""
+        return State(self.products, tuple(pair for pair in self.key if pair[0] != block), self.near)
 
     def with_block(self, pair: tuple[int, int] | None) -> State:
         """The set with a further block of the size with this number; None: itself."""
-        if pair is None:
+        return self if pair is None else State(self.products, tuple(sorted((*self.key, pair))), self.near)
+
+    @cached_property
+    def near(self) -> State:
+        """What sets that differ by a block are like: a copy, where this one is no longer like another."""
+        if self.like is None:
             return self
-        columns = self.products.columns_of([pair[0]])
-        rows, ridge = self.products.gram[columns], SIZES[pair[1]] ** -2.0 * np.eye(len(columns))
-        across = rows[:, self.columns]
-        taken = rows - self.solve(across.T).T @ self.products.gram[self.columns]
-        inner, (scores, _) = taken[:, columns] + ridge, self.remaining
-        factor = np.zeros((len(self.columns) + len(columns),) * 2, order="F")
-        factor[: len(self.columns), : len(self.columns)] = self.factor
-        factor[len(self.columns) :, : len(self.columns)] = solve_triangular(self.factor, across.T, lower=True).T
-        factor[len(self.columns) :, len(self.columns) :] = np.linalg.cholesky(inner)
-        remaining = self._moved(
-            self.remaining, np.linalg.solve(inner, scores[columns]), taken, -np.linalg.solve(inner, taken)
-        )
-        return State(self.products, (*self.pairs, pair), {"factor": factor, "remaining": remaining})
+        changed = self.products.widths[self.variances != self.like.variances]
+        return self.like if np.sum(changed) <= CHANGED else self.products.state(self.key)

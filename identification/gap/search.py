@@ -34,7 +34,6 @@ SPREAD = 1.5  # prior: octaves by which sizes differ from the common one; those 
 STRAY = 0.2  # prior: share of blocks whose size has nothing to do with the others', such as a wrong payload
 NEGLIGIBLE = 0.01  # effort: share of the probability in blocks that the walk leaves out, and of a set not listed
 MOVES = 700  # effort: of the walk
-RECENT = 64  # effort: sets that the walk remembers, as it mostly returns to a few
 MOST = 10  # effort: pairs of blocks, candidates, and explanations cross-validated
 CREDIBLE = 0.9  # convention: probability of the credible set
 LEAST = 1e-5  # numerical: probability of a set that is kept
@@ -83,7 +82,7 @@ class Search:
     def log_odds(self, state: State) -> float:
         """Log posterior odds of a set with its sizes against nothing missing."""
         sizes = self._sizes(state)
-        of_sizes = log_odds_of_sizes(sizes)[0] - (len(state.pairs) - len(sizes)) * float(np.log(len(SIZES)))
+        of_sizes = log_odds_of_sizes(sizes)[0] - (len(state.key) - len(sizes)) * float(np.log(len(SIZES)))
         return state.ratio + state.signed + self.log_prior(state.blocks) + of_sizes
 
     def _sizes(self, state: State) -> list[int]:
@@ -93,14 +92,13 @@ class Search:
     def climb(self, start: State | None = None) -> State:
         """The likeliest set that adding, dropping and exchanging blocks leads to;  start : a set that may be good"""
         nothing = self.products.state()
-        tops = [start if start is not None and start.pairs else self._up(nothing), nothing]
+        tops = [start if start is not None and start.key else self._up(nothing), nothing]
         table = self._each(nothing)
         for block in np.argsort(-np.round(np.logaddexp.reduce(table, axis=1), 9), kind="stable")[:MOST].tolist():
             if np.isfinite(table[block]).any():  # two that hide each other are seen together
-                pair = single = nothing.with_block((block, int(np.argmax(table[block]))))
+                single = nothing.with_block((block, int(np.argmax(table[block]))))
                 best = self._likeliest(self._each(single))
-                pair = single if best is None else single.with_block(best)
-                tops += [single, self._exchanged(pair, block, block)]
+                tops += [single, self._exchanged(single.with_block(best), block, block)]
         top = max(tops, key=lambda one: round(self.log_odds(one), 9))
         for _ in range(PASSES):
             before, top = top, self._up(top)
@@ -151,13 +149,10 @@ class Search:
     def walk(self, top: State, generator: np.random.Generator) -> tuple[list[Weighed], Counter[Key]]:
         """The sets that matter, likeliest first, and draws of sets (one for each tenth of a set that was moved), from a
         set to start from."""
-        state, steps, visits, draws = top, dict[Key, Array](), Counter[Key](), Counter[Key]()
-        recent, odds = {top.key: top}, dict[Key, float]()
+        state, steps, odds, visits, draws = top, dict[Key, Array](), dict[Key, float](), Counter[Key](), Counter[Key]()
         for move in range(MOVES):
-            taken, key = int(generator.integers(len(state.key) + 1)), state.key
-            left = recent.get(key[:taken] + key[taken + 1 :])
-            if left is None:
-                left = state.without(key[taken][0])
+            taken = int(generator.integers(len(state.key) + 1))
+            left = state.without(state.key[taken][0]) if taken < len(state.key) else state
             if left.key not in steps:
                 stay = -np.log(len(left.key) + 1) if np.isfinite(self.log_prior(left.blocks)) else -np.inf
                 steps[left.key] = softmax(np.append(self._each(left).ravel() - np.log(len(left.key) + 2), stay))
@@ -165,15 +160,11 @@ class Search:
             total = np.cumsum(steps[left.key])
             drawn = int(np.searchsorted(total, generator.random() * total[-1], side="right"))
             pair = divmod(drawn, len(SIZES)) if drawn < len(total) - 1 else None
-            if (key := left.key if pair is None else tuple(sorted((*left.key, pair)))) != state.key:
-                state = recent[key] if key in recent else left.with_block(pair)
-            if len(recent) > RECENT:
-                recent.clear()
-            recent |= {left.key: left, state.key: state}
-            if move % max(len(key) // 10, 1) == 0:
-                if key not in odds:
-                    odds[key] = self.log_odds(state)
-                draws[key] += 1
+            state = left.with_block(pair)
+            if move % max(len(state.key) // 10, 1) == 0:
+                if state.key not in odds:
+                    odds[state.key] = self.log_odds(state)
+                draws[state.key] += 1
         # the sets from the probabilities with which each was drawn, whatever its sizes; and of those drawn with theirs
         sets, share = defaultdict[tuple[int, ...], list[tuple[float, Key]]](list), 0.0
         ways = defaultdict[Key, list[int]](list)
