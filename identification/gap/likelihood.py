@@ -8,7 +8,7 @@ it differs by a term of their rank (M. A. Woodbury, 1950), so that what is known
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -121,11 +121,13 @@ class State:
 
     key : the blocks, ascending, with the numbers of their sizes
     like : a set that differs by few columns, from which this one is computed; None: it is computed by itself
+    left : of blocks that are not in it, as far as others needed them, (w, P) rows of V
     """
 
     products: Products
     key: Key
     like: State | None = None
+    left: dict[int, Array] = field(default_factory=dict)
 
     @cached_property
     def blocks(self) -> tuple[int, ...]:
@@ -183,10 +185,13 @@ class State:
         like = self if self.like is None else self.like
         differs, widths = self.variances != like.variances, self.products.widths
         place = np.flatnonzero(np.repeat(differs, widths)[like.columns])
-        further, n = self.products.columns_of(np.flatnonzero(differs & (like.variances == 0.0)).tolist()), len(place)
-        left = self.products.gram[further] - self.products.gram[np.ix_(further, like.columns)] @ like.taken
-        rows, columns = np.concatenate([like.taken[place], left]), np.concatenate([like.columns[place], further])
-        scores = np.concatenate([like.mean[place], like.remaining[0][further]])
+        others, n = np.flatnonzero(differs & (like.variances == 0.0)).tolist(), len(place)
+        for block in {*others} - {*like.left}:
+            own = self.products.gram[self.products.columns_of([block])]
+            like.left[block] = own - own[:, like.columns] @ like.taken
+        rows = np.concatenate([like.taken[place], *(like.left[block] for block in others)])
+        columns = np.concatenate([like.columns[place], self.products.columns_of(others)])
+        scores = np.concatenate([like.mean[place], like.remaining[0][columns[n:]]])
         old, new = (np.repeat(state.variances, widths)[columns] for state in (like, self))
         factor = np.where(old > 0.0, old, 1.0)
         inner = rows[:, columns]
