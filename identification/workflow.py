@@ -99,19 +99,23 @@ def load_sessions(paths: Sequence[Path], arm: Arm) -> Measurements:
 
 
 def arm_files(path: Path, effects: Sequence[EffectSpec], calibration: Calibration, out: Path, name: str) -> Files:
-    """The arm file of `path` with these effects and this calibration, as `out`, and the files that it names, URDF, SRDF
-    and meshes of the cell, if not there yet."""
+    """The arm file of `path` with these effects and this calibration, as `out`, and the files that it names, URDF with
+    its meshes, SRDF and meshes of the cell, if not there yet."""
     from identification.files.arm import with_effects
+    from identification.files.first_files import mesh_files
 
-    folder, table = Path(path).parent, read_toml(path)
-    cell = table.get("cell", {})
-    named = [table.get("urdf"), cell.get("srdf"), *(body.get("file") for body in cell.get("bodies", ()))]
-    text = with_effects(read_text(path), effects, folder, calibration)
-    files: Files = {out: (name, text)}
-    for each in filter(None, named):
-        copy, content = Path(out).parent / each, read_bytes(folder / each)
+    folder, beside, table = Path(path).parent, Path(out).parent, read_toml(path)
+    cell, urdf = table.get("cell", {}), table.get("urdf")
+    named = [urdf, cell.get("srdf"), *(body.get("file") for body in cell.get("bodies", ()))]
+    sources = {each: folder / each for each in named if each}
+    if urdf and cell.get("bodies_of_urdf", True) and not beside.samefile(folder):
+        sources |= {str(Path(urdf).parent / each): mesh for each, mesh in mesh_files(folder / urdf)[0].items()}
+    files: Files = {out: (name, with_effects(read_text(path), effects, folder, calibration))}
+    for each, source in sources.items():
+        copy, content = beside / each, read_bytes(source)
         if not copy.exists() or copy.read_bytes() != content:
-            files[copy] = "nominal URDF file" if each == table.get("urdf") else "file of the cell", content
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            files[copy] = "nominal URDF file" if each == urdf else "file of the cell", content
     return files
 
 

@@ -16,13 +16,14 @@ from hypothesis import strategies as st
 
 from doe import DesignProblem
 from doe.cli.verbs import with_collisions
-from identification import InputError, Model, load_arm, load_measurements
+from identification import Calibration, InputError, Model, load_arm, load_measurements
 from identification.arm import LENGTH_RANGE
 from identification.document import Answer
 from identification.files.arm import arm_from_tables
 from identification.files.csv import read_table
 from identification.files.first_files import dh_files, planar_files, urdf_files
 from identification.files.urdf import read_urdf
+from identification.workflow import arm_files
 from tests.doe.cli.conftest import Folder
 from tests.identification.files.test_bodies import FACES, binary
 from tests.small_arm import MASSES, urdf
@@ -198,6 +199,10 @@ def test_meshes_of_bodies_are_copied(folder: Folder) -> None:
     assert with_collisions(Answer({}), problem).data["collisions_checked"] is False
     [clearance] = problem.constraints
     assert clearance.in_words(np.zeros((1, 1)))[-1] == "Not looked at, since their meshes are not found: left."
+    (folder.path / "far").mkdir()  # where a calibrated arm is written, they are, too
+    copies = arm_files(folder.path / "cell/arm.toml", [], Calibration({}), folder.path / "far/new.toml", "arm")
+    names = ["far/new.toml", "far/r.urdf", "far/robot/meshes/a.stl", "far/meshes/b.stl"]
+    assert [*copies] == [folder.path / name for name in names]
     folder.said("init --urdf cell/r.urdf --tip-link tcp --out cell --force")
     again = folder.said("init --urdf package/urdf/r.urdf --package-dir given --tip-link tcp --out new")
     assert (folder.path / "new/other/c.stl").read_bytes() == binary(0.1 * FACES)
