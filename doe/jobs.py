@@ -81,6 +81,15 @@ def frame_of(rows: Sequence[Row]) -> pl.DataFrame:
     return pl.DataFrame(rows, infer_schema_length=None, strict=False) if rows else pl.DataFrame()
 
 
+def rows_of_table(path: Path) -> dict[str, list[Row]]:
+    """Rows of a table by the text of their key. Raises `InputError` for what is none."""
+    try:
+        return pl.read_parquet(path).rows_by_key(KEY, named=True, include_key=True)
+    except (pl.exceptions.PolarsError, OSError) as unreadable:
+        reason = f"not a Parquet file with a column {KEY!r} ({str(unreadable).splitlines()[0]})"
+        raise InputError(f"{path}: {reason}, allowed: a table written by armcal") from None
+
+
 def parquet(frame: pl.DataFrame) -> bytes:
     """The content of the frame's Parquet file."""
     buffer = io.BytesIO()
@@ -128,11 +137,7 @@ def run_tasks(
     if path is not None and path.exists():
         require(resume or force, f"{path}: exists, allowed: a new name, --resume to go on, or --force to replace it")
         if resume:
-            try:
-                rows = pl.read_parquet(path).rows_by_key(KEY, named=True, include_key=True)
-            except (pl.exceptions.PolarsError, OSError) as unreadable:
-                reason = f"not a Parquet file with a column {KEY!r} ({str(unreadable).splitlines()[0]})"
-                raise InputError(f"{path}: {reason}, allowed: a table written by armcal") from None
+            rows = rows_of_table(path)
         else:
             path.unlink()  # so that what is resumed later is of one run
     asked = {canonical(key): key for key in keys}
@@ -144,9 +149,10 @@ def run_tasks(
     own = resume or force  # the table is this run's, not of another that began meanwhile
 
     def save() -> None:
-        """In the order of the keys, whichever finished first."""
+        """In the order of the keys, whichever finished first; another run that goes on with it keeps its rows."""
         nonlocal own
-        every = [row for text in (asked | rows) for row in rows.get(text, ())]
+        written = rows_of_table(path) | rows if path is not None and own and path.exists() else rows
+        every = [row for text in (asked | written) for row in written.get(text, ())]
         if path is not None and any(row.get("status") != "failed" for row in every):
             path.parent.mkdir(exist_ok=True)
             write_together({path: parquet(frame_of(every))}, force=own)

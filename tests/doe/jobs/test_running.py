@@ -27,7 +27,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from doe import jobs
-from doe.jobs import Workers, call, cluster, parquet, run_tasks
+from doe.jobs import Workers, call, canonical, cluster, parquet, rows_of_table, run_tasks
 from identification import InputError, JobError
 
 sys.path.insert(0, str(Path(__file__).parent))  # workers find the tasks by name
@@ -92,6 +92,17 @@ def test_a_killed_process_ends_the_run_and_nothing_is_lost(tmp_path: Path) -> No
     assert len(pl.read_parquet(path)) < 24
     again = run_tasks(work.draw, KEYS, path, resume=True)
     assert again["value"].to_list() == work.drawn(KEYS)
+
+
+def test_two_runs_that_go_on_with_one_table_keep_each_others_rows(tmp_path: Path) -> None:
+    path = tmp_path / "rows.parquet"
+
+    def other(done: float, total: float | None, message: str) -> None:
+        if done == 2:
+            run_tasks(work.draw, KEYS[6:], path, resume=True)
+
+    run_tasks(work.draw, KEYS[:6], path, resume=True, progress=other)
+    assert {text: len(rows) for text, rows in rows_of_table(path).items()} == {canonical(key): 2 for key in KEYS}
 
 
 # -- a cluster ---------------------------------------------------------------------------------------------------------
