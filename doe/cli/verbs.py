@@ -256,9 +256,12 @@ def score_files(
         warnings.warn(f"{plan}: {design.no_efficiency}", UserWarning, stacklevel=2)
     sees = None
     try:
+        require(
+            len(judged) <= 100_000, f"not looked for in {len(judged)} runs, allowed: 100,000, which armcal design makes"
+        )
         sees = design_model(loaded).detectability(judged)
         tables: list[Any] = [*sees.document().parts]
-    except InputError as reason:  # too few runs to test for effects: a property of the plan, not bad input
+    except InputError as reason:  # too few runs to test for effects, or too many: a property of the plan, not bad input
         tables = [f"missing effects: {reason}"]
     problem = doe.DesignProblem.of(loaded)
     tip, weighted = replace(problem, criterion=average_error(problem)), (judged.postures, judged.weights)
@@ -486,6 +489,8 @@ def program_files(
     headings = ["", *posture_headings(file), "after [s]"]
     rows = [[m["kind"], *(f"{q:.3f}" for q in m["joints"]), f"{m['seconds']:.0f}"] for m in made.moves]
     doubts = in_sentences(made.not_free)
+    if robot == "kuka" and made.name.lower() != out.stem.lower():
+        doubts.append(f"{out}: a KUKA takes a program from a file of its name only: {made.name}.src")
     if elsewhere := file.from_elsewhere:
         named = f"run{'s' * (len(elsewhere) != 1)} {', '.join(map(str, elsewhere))}"
         doubts.append(f"Joints come to {named} from other sides than direction1.. of {plan} say, in want of way-points")

@@ -23,6 +23,15 @@ from identification import Arm, InputError, Plan, require
 FULL_SPEED = (120.0, 1000.0)  # [deg/s, mm/s] what 100 % of the speed is taken for: every axis of common arms does that
 RAMP = 0.3  # [s] from rest to full speed, of common arms; --robot ur is asked for 1.4 rad/s^2
 SPECIAL = re.compile(r"[^ -~]|[\"\\{}\[\];]")  # what a comment, a string or a name in some language cannot have
+# of RAPID, KRL and URScript, which a program's name cannot be; a TP program may have any
+RESERVED = """
+alias and backward bool brake break case channel char circ confirm connect const continue decl def default deffct
+div do elif else elseif end enddat endfct endfor endfunc endif endloop endmodule endproc endrecord endswitch endtest
+endtrap endwhile enum error exit ext extfct false for frame from func global goto halt if import in inout int
+interrupt is lin local loop mod module movej not or pass pers popup prio proc ptp public raise readonly real record
+repeat resume retry return sec signal sleep step struc switch task test then thread to trap trigger true undo until
+var wait when while with xor
+"""
 # robot -> template, units of angles and lengths, fewest and most joints; a UR controller knows six
 LANGUAGES = {
     "ur": ("ur.script.j2", "rad", "m", 6, 6),
@@ -124,7 +133,8 @@ def program(
         moves.append(move)
         postures.append(f"{k:3d} {label:8s}" + "".join(f"{x:10.3f}" for x in q + 0.0))
     identifier = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_")
-    identifier = (identifier if identifier[:1].isalpha() else f"armcal_{identifier}".strip("_"))[:24]
+    is_name = identifier[:1].isalpha() and identifier.lower() not in RESERVED.split()
+    identifier = (identifier if is_name else f"armcal_{identifier}".strip("_"))[:24]
     planned = f"{len(plan.measured)} runs, {speed} % speed, {settle:g} s to settle"
     rest = f"about {departures[-1] / 60e3:.1f} min without measuring"
     variables = {

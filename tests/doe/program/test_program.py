@@ -204,6 +204,7 @@ NAMES = {
     "plan": "plan",
     "my plan-2": "my_plan_2",
     "2nd": "armcal_2nd",
+    "Test": "armcal_Test",  # a statement of RAPID
     "ärger": "rger",
     "": "armcal",
     "x" * 40: "x" * 24,
