@@ -96,8 +96,7 @@ def with_held(fit: Identification, before: Calibration | None, measurements: Mea
     estimated, others = (np.array([whole.names.index(n) for n in each]) for each in (model.names, held.parameter_names))
     problem = Problem.of(whole, measurements)
     jacobian = problem.rows_about(x)[1]
-    noise = (fit.scatter or 0.0) / (problem.sigma or 1.0)
-    prior = fit.prior.rows(model.parameters, noise)
+    prior = fit.prior.rows(model.parameters, (fit.scatter or 0.0) / (problem.sigma or 1.0))
     root = spectrum(jacobian[:, estimated], model.scales, prior=prior).root
     moves = np.eye(len(x))[:, [*estimated, *others]]  # by errors of those estimated, and of those held
     moves[estimated, len(estimated) :] = -root @ (root.T @ (jacobian[:, estimated].T @ jacobian[:, others]))

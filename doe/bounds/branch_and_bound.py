@@ -71,8 +71,7 @@ class TrigonometricPolynomial:
         size = np.abs(coefficients).sum(axis=0)  # (d, p)
         magnitude = abs(factor) * float(np.sum((size @ np.abs(gradient)) * size)) + abs(constant)
         operations = 4 * len(gradient) + 2 * d + 2 * count + 16  # lengths of the sums, nested
-        waves = np.asarray(2.0 * values[first > 0])
-        return cls(constant, unique[first > 0], waves, magnitude, operations)
+        return cls(constant, unique[first > 0], np.asarray(2.0 * values[first > 0]), magnitude, operations)
 
     @cached_property
     def margin(self) -> float:

@@ -464,8 +464,7 @@ def bounds_of_runs(problem: DesignProblem, runs: Sequence[int], stop: Stop = nev
         for m in np.unique(np.round(np.geomspace(min(runs), max(runs), steps))).astype(int)[::-1].tolist():
             if made and stop():
                 break
-            also = made[-1].plan.postures if made else None
-            made.append(best_design(problem, m, also=also, stop=stop))
+            made.append(best_design(problem, m, also=made[-1].plan.postures if made else None, stop=stop))
     except (JobError, np.linalg.LinAlgError):
         return dict.fromkeys(runs)
     tightest = {m: min(made, key=lambda one: one.upper_at(m)) for m in runs}

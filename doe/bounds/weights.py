@@ -136,8 +136,7 @@ def solve_program(
         raise JobError(
             "relaxation: the candidates do not identify all parameters; drop an effect or allow more postures"
         )
-    unroot = np.linalg.cholesky(mean)
-    root = np.linalg.inv(unroot)
+    root = np.linalg.inv(np.linalg.cholesky(mean))
     n, p = posture_information.shape[:2]
     rows, columns = np.triu_indices(p)
     entries = (root @ posture_information @ root.T)[:, rows, columns]

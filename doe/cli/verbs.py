@@ -212,8 +212,7 @@ def design_files(
     extra += [] if expected is None else [str(expected)]
     data |= driven.data
     extra += driven.lines
-    text = driven.moves.text(columns_beside(design))
-    files: dict[Path | None, tuple[str, Any]] = {out: ("plan", text)}
+    files: dict[Path | None, tuple[str, Any]] = {out: ("plan", driven.moves.text(columns_beside(design)))}
     if picture is not None:
         from doe.report.figures import plan_figure  # matplotlib takes longer to load than a small design
 

@@ -55,8 +55,7 @@ def too_near(problem: DesignProblem, postures: Array) -> NDArray[np.intp]:
         near = KDTree(compared).query_ball_point(compared, distance, p=np.inf, return_length=True)
         crowded = np.flatnonzero(near > 1)
     if len(crowded) <= 3000:  # else there are too many pairs to compare
-        alike = gaps(problem, points[crowded], points[crowded]) < distance
-        crowded = crowded[np.tril(alike, -1).any(axis=1)]
+        crowded = crowded[np.tril(gaps(problem, points[crowded], points[crowded]) < distance, -1).any(axis=1)]
     return crowded[crowded >= len(problem.kept)] - len(problem.kept)
 
 

@@ -140,8 +140,7 @@ class Climber:
         half = np.swapaxes(jacobian, -1, -2)[:, None] @ first  # B^T dB_a, (m, a, p, p)
         directions = (half + np.swapaxes(half, -1, -2)).reshape(m * a, p, p) / total
         hessian = self.ascent.criterion.curvature(information, directions).reshape(m, a, m, a)
-        flat = first.reshape(m, a, d * p)
-        bend = flat @ np.swapaxes((first @ gradient).reshape(m, a, d * p), -1, -2)
+        bend = first.reshape(m, a, d * p) @ np.swapaxes((first @ gradient).reshape(m, a, d * p), -1, -2)
         bend += self.ascent.derivatives.bend(postures, jacobian @ gradient)
         hessian[np.arange(m), :, np.arange(m), :] += (2.0 / total) * bend
         return hessian.reshape(m * a, m * a)

@@ -296,8 +296,7 @@ def _effects(tables: Sequence[EffectTable], chain: KinematicChain, heavy: bool) 
             require(not wrong, f"effects: {spec.key} {sentence}")
         curve = spec.curve
         if curve is not None and table.geometry:  # that was fitted with it
-            geometry = _fitted_with(table.geometry, chain)
-            fitted = _named(geometry, effects, table.geometry, f"effects[{k}].geometry")
+            fitted = _named(_fitted_with(table.geometry, chain), effects, table.geometry, f"effects[{k}].geometry")
             curve = replace(curve, geometry={p.name: table.geometry[p.file_name] / p.to_file for p in fitted})
         effects[k - 1] = replace(spec, values=MappingProxyType(values), curve=curve), effect
     return effects

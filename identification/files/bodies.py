@@ -46,8 +46,7 @@ def _stl(content: bytes) -> Array:
     count = int.from_bytes(content[header - 4 : header], "little")
     if len(content) == header + count * record.itemsize or not content.lstrip().startswith(b"solid"):
         return np.frombuffer(content, record, count, header)["corners"].astype(float)  # ValueError: cut off
-    numbers = re.findall(rb"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)", content)
-    return np.array(numbers, dtype=float).reshape(-1, 3, 3)
+    return np.array(re.findall(rb"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)", content), dtype=float).reshape(-1, 3, 3)
 
 
 def _obj(content: bytes) -> Array:

@@ -259,8 +259,7 @@ def urdf_text(chain: KinematicChain, name: str) -> str:
 
 def _origin(matrix: Array, near: Array | None = None) -> dict[str, str]:
     """Attributes of an `origin` element, by the angles that are nearest to some."""
-    turn = roll_pitch_yaw(matrix[:3, :3], near)
-    return {"xyz": _numbers(*matrix[:3, 3] / METER), "rpy": _numbers(*turn)}
+    return {"xyz": _numbers(*matrix[:3, 3] / METER), "rpy": _numbers(*roll_pitch_yaw(matrix[:3, :3], near))}
 
 
 def _numbers(*values: float) -> str:

@@ -168,8 +168,7 @@ def averaged(posterior: Posterior, coordinates: int) -> PredictingModel:
     spread /= max(float(np.sum(inside * spread)), 1e-300)
     square = float(np.sum(gram * covariance[np.ix_(every, every)]) - np.sum(inside * beside))
     sigma, specs = float(np.sqrt(variance)), tuple(entries)
-    written = PredictingModel(model, values, rows, beside, sigma, freedom, spread, specs, tuple(curves))
-    return written.allowing(square)
+    return PredictingModel(model, values, rows, beside, sigma, freedom, spread, specs, tuple(curves)).allowing(square)
 
 
 def conditional_covariance(covariance: Array, kept: Index, conditioned: Index) -> Array:

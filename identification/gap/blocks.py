@@ -151,8 +151,7 @@ class Library:
             if np.ptp(q) == 0.0 or j + 1 in unseen or arm.joint_types[j] == PRISMATIC:
                 continue
             # what is named at this joint may be there instead of the wave
-            effects = [e for e in at.model.effects if e.joint == j + 1 and e.label in labels]
-            named = at.columns_of(*effects)
+            named = at.columns_of(*(e for e in at.model.effects if e.joint == j + 1 and e.label in labels))
             rest = np.setdiff1d(np.arange(len(at.values)), named)
             y = rows.whiten(at.errors + at.linearized[1][:, :, named] @ at.values[named])
             columns = at.jacobian[:, rest]
@@ -285,8 +284,7 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Lib
                 reasons[spec.key] = "the joint slides, or hardly moves the measured point"
                 continue
             scope = Scope(arm, joint) if rows is None else Scope(arm, joint, rows.postures, rows.conditions)
-            scans = [setting.scan(scope) for setting in cls.settings.values()]
-            tried, blocks = [*product(*scans)], list[Block]()
+            tried, blocks = [*product(*[setting.scan(scope) for setting in cls.settings.values()])], list[Block]()
             for chosen in tried:
                 entry = replace(spec, values=dict(zip(cls.settings, chosen, strict=True)))
                 block = Block.of(arm, entry, cls.prior / len(tried), kinds)

@@ -106,8 +106,7 @@ def library_prior(
     if arm.calibration is not None:  # its values follow the new names of its parameters
         renamed = every.renamed(Model(wide))
         values = {renamed.get(name, name): value for name, value in arm.calibration.values.items()}
-        calibration = replace(arm.calibration, values=values, parameter_names=(), covariance=None)
-        wide = replace(wide, calibration=calibration)
+        wide = replace(wide, calibration=replace(arm.calibration, values=values, parameter_names=(), covariance=None))
     parameters = [p.name for effect in Model(wide).effects[len(every.base.effects) :] for p in effect.parameters]
     # a posture's own error, in one coordinate; calibrated robots keep 1e-4 of the reach in three coordinates
     own_error = 6e-5 * arm.reach if names is None else 0.0

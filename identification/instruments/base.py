@@ -180,8 +180,7 @@ class Instrument:
         with the tools of the rows in turns; of a base that is known none is needed."""
         if rows.base is not None:
             bases = np.broadcast_to(rows.base, (len(rows.tools), 4, 4))
-        tools = np.resize(rows.tools, (len(bases), 3))
-        starts = np.concatenate([bases[:, :3].reshape(-1, 12), tools], axis=1)
+        starts = np.concatenate([bases[:, :3].reshape(-1, 12), np.resize(rows.tools, (len(bases), 3))], axis=1)
         hidden = self.hidden(np.eye(4)) if rows.base is None else error_names("base")
         free = np.array([name not in hidden for name in error_names("base")] + [rows.tool is None] * 3)
         unknown, moves = np.eye(9)[free], np.array([1.0, rows.reach, 1.0]).repeat(3)[free]

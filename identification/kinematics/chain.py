@@ -521,8 +521,7 @@ class PlanarClosedForm:
             # differences to the nominal arm: the sum of squares then loses no digits
             rest = measured - columns @ nominal
             change = rest @ back
-            residuals = (rest - change @ forth) * root
-            squares = residuals.view(np.float64)
+            squares = ((rest - change @ forth) * root).view(np.float64)
             unknowns = nominal + change
             u, shift = unknowns[..., :n], unknowns[..., n:]
             # dq_j = arg u_j - arg u_(j-1) as one argument, so that it needs no wrapping

@@ -43,8 +43,7 @@ def test_finds_the_best_of_all_grid_plans() -> None:
     jacobians = case.scaled_jacobians(postures)
     products = np.swapaxes(jacobians, -1, -2) @ jacobians
     best = np.linalg.slogdet(products[every].sum(axis=1) / 4)[1].max()
-    design = solve(case, 4, Exchange(levels=5, climb=False), starts=100)
-    assert design.value == pytest.approx(best, abs=1e-12)
+    assert solve(case, 4, Exchange(levels=5, climb=False), starts=100).value == pytest.approx(best, abs=1e-12)
 
 
 def test_few_starts_end_exactly_at_an_optimal_plan_of_the_grid() -> None:
@@ -77,8 +76,7 @@ def test_best_of_all_subsets(runs: int, kept: int) -> None:
 def test_repeats_only_when_asked_for() -> None:
     few = LIST[:6]
     assert len(np.unique(solve(problem(FOUR, choices=few), 6).plan.postures, axis=0)) == 6
-    repeated = solve(problem(FOUR, choices=few, minimum_distance=0.0), 12)
-    assert len(repeated.plan) == 12
+    assert len(solve(problem(FOUR, choices=few, minimum_distance=0.0), 12).plan) == 12
     with pytest.raises(InputError, match=r"runs: found 12, allowed: up to 6, the different postures"):
         solve(problem(FOUR, choices=np.vstack([few, few])), 12)
 
@@ -86,8 +84,7 @@ def test_repeats_only_when_asked_for() -> None:
 def test_choices_outside_the_limits_are_not_chosen() -> None:
     beyond = np.array(LIST)
     beyond[:5, 1] = np.radians(150.0)
-    design = solve(problem(FOUR, OFFSET, choices=beyond), 8)
-    assert np.all(design.plan.postures <= FOUR.upper)
+    assert np.all(solve(problem(FOUR, OFFSET, choices=beyond), 8).plan.postures <= FOUR.upper)
 
 
 def test_bad_input() -> None:
@@ -118,8 +115,7 @@ def test_the_bound_is_nearly_reached_by_thirty_runs() -> None:
 def test_a_feasible_plan_better_than_the_best_list() -> None:
     """A box and a tracker that must see the reflector: exchanges on a list of 1,000 feasible postures fall short."""
     arm = replace(SIX_AXIS, constraints=(BOX, SIGHT))
-    problem = six_axis(arm)
-    design = solve(problem, 12, starts=2, bound=NONE)
+    design = solve(six_axis(arm), 12, starts=2, bound=NONE)
     assert (design.solver, design.outside) == ("exchange", ())
     assert problem.feasible(design.plan.postures).all()
     choices = random_postures(problem, 1000, np.random.default_rng(1))

@@ -25,8 +25,7 @@ def test_without_limits_any_number_of_runs_is_optimal_without_a_solver(links: in
         assert abs(complex_log_det(design.plan.postures)) < 1e-8  # the bar
         assert design.certified_optimal
     for runs in (links + 1, 3 * links):
-        with_offset = solve(problem(arm, OFFSET), runs)
-        assert abs(complex_log_det(with_offset.plan.postures, offset=True)) < 1e-8
+        assert abs(complex_log_det(solve(problem(arm, OFFSET), runs).plan.postures, offset=True)) < 1e-8
 
 
 def check(arm: Arm, runs: int, *effects: EffectSpec) -> None:
@@ -35,8 +34,7 @@ def check(arm: Arm, runs: int, *effects: EffectSpec) -> None:
     design = solve(case, runs)
     postures = design.plan.postures
     assert (design.solver, design.status, len(postures)) == ("analytic", Status.bound_reached, runs)
-    value = complex_log_det(postures, offset=bool(effects))
-    assert value == pytest.approx(closed_form_log_det(case), abs=1e-9)
+    assert complex_log_det(postures, offset=bool(effects)) == pytest.approx(closed_form_log_det(case), abs=1e-9)
     assert np.all(postures >= arm.lower)
     assert np.all(postures <= arm.upper)
     assert smallest_gap(postures) >= np.radians(1.0) * (1 - 1e-9)

@@ -262,8 +262,7 @@ def test_e_is_better_than_plans_for_other_criteria() -> None:
     case = problem(FOUR, criterion=E())
     design = solve(case, 10, starts=5)
     for rival in (problem(FOUR), problem(FOUR, criterion=A())):
-        other = solve(rival, 10, starts=4).plan.postures
-        assert design.value >= case.objective(other) - SEARCHED
+        assert design.value >= case.objective(solve(rival, 10, starts=4).plan.postures) - SEARCHED
     generator = np.random.default_rng(1)
     rows = design.plan.postures
     for _ in range(500):  # no small change of any posture helps

@@ -240,8 +240,7 @@ def test_nominal_postures_are_those_of_the_arm_where_it_stands() -> None:
     np.testing.assert_allclose(by_postures.targets, seen(nominal, LENGTHS, np.zeros(4)), atol=1e-9)
     assert by_postures.reached.all()
     assert np.median(np.linalg.norm(by_postures.commands - nominal, axis=1)) < np.radians(2.0)
-    goals = seen(nominal, LENGTHS + CALIBRATION.length_errors, CALIBRATION.joint_offsets)
-    by_targets = compensate(real, goals)
+    by_targets = compensate(real, seen(nominal, LENGTHS + CALIBRATION.length_errors, CALIBRATION.joint_offsets))
     assert by_targets.reached.all()
     assert by_targets.warnings == []
 

@@ -265,8 +265,7 @@ def of_complex(generator: np.random.Generator, rows: int, truth: np.ndarray, sig
 
 def before(generator: np.random.Generator) -> Calibration:
     """A calibration from 12 rows."""
-    found = estimate(BARE, of_complex(generator, 12, TRUTH), sigma="given")
-    return found.calibration()
+    return estimate(BARE, of_complex(generator, 12, TRUTH), sigma="given").calibration()
 
 
 def means(earlier: Calibration) -> np.ndarray:

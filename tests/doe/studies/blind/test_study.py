@@ -236,8 +236,7 @@ def test_the_written_model_is_compared_with_others() -> None:
     expected |= {"contradiction": 0.0, "located": 0.0, "wrong place": 0.0}
     assert {name: found[name] for name in expected} == pytest.approx(expected)
     # ranks 1 and 3 of 4, halfway between two
-    error = study["cells"].filter(measure="error / geometry")["standard_error"][0]
-    assert error == pytest.approx(0.5 * (4.7 - 0.15))
+    assert study["cells"].filter(measure="error / geometry")["standard_error"][0] == pytest.approx(0.5 * (4.7 - 0.15))
 
 
 @pytest.mark.parametrize(("right", "outcome"), [(4, "met"), (3, "within its error"), (1, "missed")])
@@ -324,8 +323,7 @@ def test_contradictions_between_verdict_and_probabilities(
     names = ("none", "a", "b", "unknown", "other sets")
     stated = {name: p for name, p in zip(names, chances, strict=True) if p or name in ("none", "unknown")}
     listed = [{"effects": ["c"], "probability": 0.3}] if doubt == "listed beyond the rest" else []
-    said = {"verdict": verdict, "effects": [*effects], "probabilities": stated, "other_sets": listed}
-    found = contradictions(said)
+    found = contradictions({"verdict": verdict, "effects": [*effects], "probabilities": stated, "other_sets": listed})
     assert found == [] if doubt is None else doubt in found
 
 
