@@ -136,7 +136,8 @@ def measurement_text(
         columns |= posture_columns(measurements.commanded, kinds, "commanded")
     columns |= {} if measurements.orientations is None else angle_columns(measurements.orientations)
     if (order := measurements.order) is not None:
-        columns["order" if np.all(order == np.round(order)) else "time_s"] = order
+        counts = np.all(order == np.round(order)) and (measurements.gaps is not None or np.ptp(order) < len(order))
+        columns["order" if counts else "time_s"] = order
     optional: dict[str, Any] = {"temperature_C": measurements.temperature, "payload_kg": measurements.payload}
     if (directions := measurements.directions) is not None:
         signs = kinds.counting.signs_of_columns(directions)
