@@ -178,8 +178,7 @@ def levenberg_marquardt(
         low, high = x <= lower, x >= upper
         active = (low & (gradient < 0.0)) | (high & (gradient > 0.0))
         steps, gradient, stiffness = damped_steps(columns, residuals, active | zero, damping, tolerance)
-        limit = GRADIENT_TOLERANCE * norms + rounding[numbers]
-        stationary = np.max(np.abs(gradient), axis=1, initial=0.0) <= limit
+        stationary = np.max(np.abs(gradient), axis=1, initial=0.0) <= GRADIENT_TOLERANCE * norms + rounding[numbers]
         while np.any(out := (low & (steps < 0.0) | high & (steps > 0.0)) & ~stationary[:, None]):
             active |= out
             again = np.any(out, axis=1)
@@ -201,8 +200,7 @@ def levenberg_marquardt(
         x, residuals, jacobians, squares, damping = points
         moved = points_at(numbers, x + steps, damping)
         # rounding of residuals and of their sum may hide the descent of the last steps
-        allowance = 2.0 * np.sqrt(squares) * rounding[numbers] + 1e-14 * squares
-        better = moved.squares <= squares + allowance
+        better = moved.squares <= squares + 2.0 * np.sqrt(squares) * rounding[numbers] + 1e-14 * squares
         with np.errstate(over="ignore", invalid="ignore"):  # a step may lead to where nothing is finite
             step = (moved.x - x)[:, :, None]
             change, change_after = ((slopes @ step)[:, :, 0] for slopes in (jacobians, moved.jacobians))

@@ -163,8 +163,7 @@ class Replications:
         positions = sigma * rng.standard_normal((count, len(plan), self.truth.dimension))
         positions += self.truth.position(plan.postures, conditions=plan.conditions)
         batch = estimate_batch(self.model, plan, positions)
-        parameters = np.where(batch.converged[:, None], batch.parameters, np.nan)
-        errors = (parameters - self.values) @ self.transform.T
+        errors = (np.where(batch.converged[:, None], batch.parameters, np.nan) - self.values) @ self.transform.T
         turns = [*self.model.parameters.joint_offsets.tolist(), *range(len(self.values), len(self.transform))]
         errors[:, turns] = (errors[:, turns] + np.pi) % (2.0 * np.pi) - np.pi  # known up to a whole turn
         jacobian = self.model.jacobian(plan.postures, self.values, plan.conditions)

@@ -270,8 +270,7 @@ def offer(by: str, rows: int, model: tuple[float, float], geometry: tuple[float,
     and the geometry alone leave, and whether it is better beyond chance, as `validate` judges it;  by : `holdout` or
     `cross-validation` (each posture by a fit to others);  p : one-sided p-value, of no gain"""
     lengths = {"rms_mm": model[0], "max_mm": model[1], "rms_geometry_mm": geometry[0], "max_geometry_mm": geometry[1]}
-    better = model[0] < geometry[0] and p <= LEVEL_95 / 2.0
-    return {"by": by, "rows": rows, **lengths, "p_value": p, "better": better}
+    return {"by": by, "rows": rows, **lengths, "p_value": p, "better": model[0] < geometry[0] and p <= LEVEL_95 / 2.0}
 
 
 def beside_geometry(by: str, geometry: Array, model: Array, measurements: Measurements) -> dict[str, Any]:

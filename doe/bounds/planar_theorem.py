@@ -32,8 +32,7 @@ def closed_form_log_det(problem: DesignProblem) -> float:
     allowed = "D with lengths, offsets and base_offset"
     require(applies(problem), f"closed form: this model or criterion has none, allowed: {allowed}")
     joints = list(offered(problem.model, "theorem_joints", "closed form"))
-    ranges = np.minimum(problem.upper[joints] - problem.lower[joints], np.pi)
-    return float(4.0 * np.sum(np.log(np.sin(ranges / 2.0))))
+    return float(4.0 * np.sum(np.log(np.sin(np.minimum(problem.upper[joints] - problem.lower[joints], np.pi) / 2.0))))
 
 
 def closed_form_bound(problem: DesignProblem) -> Bound | None:

@@ -82,6 +82,8 @@ def design_problem(
         tell_of_candidates(candidates, doe.DesignProblem.of(model, choices=choices), choices)
     if repeats:
         restrictions["minimum_distance"] = 0.0
+    if repeats and wanted.robust:  # each posture's own error is the same in all of its repeats
+        warnings.warn("--repeats: --robust promises a little too much of postures that are repeated", stacklevel=2)
     problem = doe.DesignProblem.of(model, **restrictions)
     if wanted.robust:
         missing = wanted.missing

@@ -252,6 +252,8 @@ def notes(
     if alone:
         yield "the geometry alone predicts better: that is what --out writes"
     yield from untested(posterior.library.skipped)
+    if len(measurements.sessions) > 1 and measurements.dimension > 2 and any("_step:" in e for e in result.effects):
+        yield "a reflector mounted anew between sessions looks like steps: it needs another name (marker) each session"
     if len(measurements) > MOST_ROWS:
         searched = f"{MOST_ROWS} of the {len(measurements)} rows, taken at random"
         yield f"effects were looked for in {searched}; what was found is fitted to all"

@@ -123,8 +123,7 @@ def test_verb(tmp_path: Path) -> None:
     assert done.exit_code == 0, done.output
     answer = json.loads(done.stdout)
     assert [r["best"] for r in answer["summary"]] == pytest.approx([0.0, 0.0], abs=1e-9)
-    written = {f.name for f in (tmp_path / "out").iterdir()}
-    assert written == {"rows.parquet", "summary.parquet"}
+    assert {f.name for f in (tmp_path / "out").iterdir()} == {"rows.parquet", "summary.parquet"}
     assert pl.read_parquet(tmp_path / "out" / "rows.parquet")["runs"].to_list() == [2, 3]
     refused = CliRunner().invoke(main.commands["compare"], options)
     assert refused.exit_code == 2

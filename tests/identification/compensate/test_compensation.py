@@ -270,8 +270,7 @@ def test_the_side_of_the_approach_is_said() -> None:
     np.testing.assert_allclose(between.commands[between.reached], found.commands, rtol=0, atol=1e-9)
     late = arm(EffectSpec("servo_error", 2, {"b": 0.0, "h": 2e-3}))
     assert compensate(late, postures=nominal).warnings == [said.replace("backlash", "servo_error")]
-    given = Conditions(directions=np.ones((2, 4)))
-    assert compensate(played, postures=nominal, conditions=given).warnings == []
+    assert compensate(played, postures=nominal, conditions=Conditions(directions=np.ones((2, 4)))).warnings == []
     assert compensate(arm(), postures=nominal).warnings == []
 
 

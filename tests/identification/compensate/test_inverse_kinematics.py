@@ -42,8 +42,7 @@ def chain(q: np.ndarray, lengths: np.ndarray, offsets: np.ndarray) -> np.ndarray
 def test_the_elbow_that_is_free_is_chosen() -> None:
     """A target is reached exactly where one of the two postures of trigonometry keeps out of the circle."""
     two = Arm([300.0, 200.0], constraints=(CIRCLE,), calibration=Calibration.of(TRUE - [300.0, 200.0], OFFSETS))
-    generator = np.random.default_rng(4)
-    targets = generator.uniform(0.0, 300.0, (80, 2))
+    targets = np.random.default_rng(4).uniform(0.0, 300.0, (80, 2))
     targets = targets[np.hypot(*targets.T) > 110.0]
     distance, direction = np.hypot(*targets.T), np.arctan2(targets[:, 1], targets[:, 0])
     elbow = np.arccos((distance**2 - TRUE @ TRUE) / (2.0 * np.prod(TRUE)))
@@ -57,8 +56,7 @@ def test_the_elbow_that_is_free_is_chosen() -> None:
     np.testing.assert_array_equal(found.reached[sure], clear[sure] > 0.0)
     assert 10 < np.count_nonzero(found.reached) < len(targets) - 10
     assert np.all(found.errors < TOLERANCE)
-    only_one = found.reached & (np.min(free, axis=0) < 0.0)
-    assert np.count_nonzero(only_one) > 5
+    assert np.count_nonzero(found.reached & (np.min(free, axis=0) < 0.0)) > 5
     said = json.loads(json.dumps(found.to_json()))
     for row, reached, command in zip(said["commands"], found.reached, found.commands, strict=True):
         assert row["reachable"] == reached

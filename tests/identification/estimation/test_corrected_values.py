@@ -133,8 +133,7 @@ def test_values_that_only_the_prior_holds_are_marked(deviation: float) -> None:
     assert length.prior_std == pytest.approx(deviation)
     assert length.std == pytest.approx((deviation**-2.0 + m) ** -0.5, rel=1e-9)
     assert length.weak is (weak := m * deviation**2 < 3.0)
-    zero = by_name(found.corrected_values)["zero of joint 1"]
-    assert zero.prior_std is None
+    assert by_name(found.corrected_values)["zero of joint 1"].prior_std is None
     section = corrected_section("", found.corrected_values)
     shown = corrected_table(found.corrected_values).rows[0][0], str(section.parts)
     assert ("*" in shown[0], "* 1 of 2 are weakly determined" in shown[1]) == (weak, weak)

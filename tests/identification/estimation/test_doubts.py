@@ -63,8 +63,7 @@ def test_a_small_offset_of_the_base_and_chance_are_no_other_frame() -> None:
 def test_what_a_known_effect_does_is_no_other_frame() -> None:
     """Everything moves 1 mm/K along x, 3 K above the mean temperature of the identification: by 3 mm."""
     moves = arm(EffectSpec("temperature_shift", None, {"v1": 1.0, "v2": 0.0, "v3": 0.0}))
-    measured = replace(data(Model(arm()), plan(30)), temperature=np.full(30, 23.0), reference=20.0)
-    shifted = moved(measured, (3.0, 0.0))
+    shifted = moved(replace(data(Model(arm()), plan(30)), temperature=np.full(30, 23.0), reference=20.0), (3.0, 0.0))
     assert another_frame(Model(arm()), shifted) != []
     assert another_frame(Model(moves), shifted) == []
     assert another_frame(Model(moves), moved(shifted, (3.0, 0.0))) != []

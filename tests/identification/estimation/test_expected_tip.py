@@ -79,8 +79,7 @@ def test_postures_like_those_measured_fill_no_box_of_angles() -> None:
         for there, errors in ((fresh, off), (generator.uniform(q.min(axis=0), q.max(axis=0), (50, 4)), box)):
             difference = model.position(there, found.parameters) - model.position(there, truth(model))
             errors.append(np.mean(np.sum(difference**2, axis=1)))
-    error = np.std(off) / np.sqrt(60.0)
-    assert np.mean(said) == pytest.approx(np.mean(off), abs=4.0 * error)
+    assert np.mean(said) == pytest.approx(np.mean(off), abs=4.0 * np.std(off) / np.sqrt(60.0))
     assert np.mean(box) > 2.0 * np.mean(off)
 
 

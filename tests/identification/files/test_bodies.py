@@ -45,8 +45,7 @@ def bodies(arm: Arm) -> dict[str, Body]:
 def test_links_are_where_their_joints_put_them(tmp_path: Path) -> None:
     """Places by hand: the base stands at (0, 1, 0) of the table, turned by 90 degrees; the tip hangs at (0.4, 0, 0.1)
     of the moving link, turned by 90 degrees, and the finger there, too, its joint at zero."""
-    arm = arm_of(tmp_path)
-    found, said = said_of(arm)
+    found, said = said_of(arm_of(tmp_path))
     assert said == [f"{tmp_path / 'r.urdf'}: finger: drawn where joints that are not the arm's stand at zero"]
     joints = {name: body.joint for name, body in found.items()}
     assert joints == {"table": 0, **dict.fromkeys(("upper", "bracket", "tip", "finger", "part"), 1)}

@@ -296,8 +296,7 @@ OUT = [4, 5, 11, 20]
 
 def struck(load: Load, out: list[int] = OUT) -> Measurements:
     """Without some rows, as a user strikes them out of a file."""
-    lines = measurement_text(WHOLE).splitlines()
-    return load("\n".join(line for k, line in enumerate(lines) if k - 1 not in out))
+    return load("\n".join(line for k, line in enumerate(measurement_text(WHOLE).splitlines()) if k - 1 not in out))
 
 
 def test_after_a_gap_directions_are_unknown_and_joints_remember_anew(load: Load) -> None:
@@ -355,5 +354,4 @@ def test_effects_that_need_the_row_before_are_not_looked_for_without_it() -> Non
 
 
 def test_a_file_may_say_that_a_direction_is_unknown(load: Load) -> None:
-    data = load("q1_deg,x_mm,y_mm,direction1\n1,2,3,\n4,5,6,-1\n")
-    assert data.conditions.directions.tolist() == [[0.0], [-1.0]]
+    assert load("q1_deg,x_mm,y_mm,direction1\n1,2,3,\n4,5,6,-1\n").conditions.directions.tolist() == [[0.0], [-1.0]]

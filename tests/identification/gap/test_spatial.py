@@ -52,6 +52,17 @@ def test_another_reflector_in_the_hold_out() -> None:
     assert found.gap.held_out_after < 0.05 * np.sqrt(3.0) * np.sqrt(1.0 + 28.0 / 180.0) * 1.15
 
 
+def test_a_reflector_mounted_anew_between_sessions_is_said_to_look_like_steps() -> None:
+    """It is 4 mm elsewhere; under a new name its place is found, and the hidden ripple is all that is named."""
+    first, second = simulated(4.0, 0.7)
+    q, positions = np.vstack([first.postures, second.postures]), np.vstack([first.positions, second.positions])
+    both, sessions = Measurements(q, positions), np.repeat(["a", "b"], [len(first), len(second)])
+    same, new = (diagnose(ARM, replace(both, session=sessions, **named)) for named in ({}, {"marker": sessions}))
+    assert new.named.effects == ("transmission_ripple:2[k=9]",)
+    assert any("_step:" in each for each in same.effects)
+    assert any("looks like steps" in note for note in same.notes)
+
+
 def test_what_many_rows_show_of_an_axis_near_the_reflector_belongs_to_the_geometry() -> None:
     """1.8 mm off the last axis, milliradians of which move it by micrometres, as much as the noise; what is left is
     noise."""
