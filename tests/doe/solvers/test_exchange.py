@@ -114,8 +114,8 @@ def test_the_bound_is_nearly_reached_by_thirty_runs() -> None:
 
 def test_a_feasible_plan_better_than_the_best_list() -> None:
     """A box and a tracker that must see the reflector: exchanges on a list of 1,000 feasible postures fall short."""
-    arm = replace(SIX_AXIS, constraints=(BOX, SIGHT))
-    design = solve(six_axis(arm), 12, starts=2, bound=NONE)
+    problem = six_axis(replace(SIX_AXIS, constraints=(BOX, SIGHT)))
+    design = solve(problem, 12, starts=2, bound=NONE)
     assert (design.solver, design.outside) == ("exchange", ())
     assert problem.feasible(design.plan.postures).all()
     choices = random_postures(problem, 1000, np.random.default_rng(1))
