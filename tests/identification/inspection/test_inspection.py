@@ -54,8 +54,7 @@ def test_repeats_scatter_in_millimetres_or_are_not_said(unit: float) -> None:
     z = 0.05 * np.random.default_rng(5).standard_normal(rows.positions.shape)
     found = inspect(ARM, replace(rows, postures=unit * rows.postures, positions=rows.positions + z)).to_json()
     assert found["repeats_mm"] == (pytest.approx(0.05 * np.sqrt(2.0), rel=0.25) if unit == 1.0 else None)
-    few = inspect(ARM, rows.rows(np.repeat([0, 1], 5))).to_json()
-    assert few["close_repeats_mm"] is None
+    assert inspect(ARM, rows.rows(np.repeat([0, 1], 5))).to_json()["close_repeats_mm"] is None
 
 
 def test_each_fault_has_its_sentence() -> None:
@@ -242,8 +241,7 @@ def test_what_only_tilts_tell_apart_is_determined_weakly() -> None:
     heights = [found.names.index(row["name"]) for row in rows]
     assert [(row["std"], row["unit"]) for row in rows] == [(pytest.approx(found.std[k]), "mm") for k in heights]
     assert min(row["std"] for row in rows) > 100.0
-    together = np.sqrt(found.covariance[np.ix_(heights, heights)].sum())
-    assert together < 2.0 * np.sqrt(2.0)
+    assert np.sqrt(found.covariance[np.ix_(heights, heights)].sum()) < 2.0 * np.sqrt(2.0)
 
 
 def test_what_a_prior_held_is_left_out() -> None:

@@ -207,8 +207,7 @@ def test_what_no_arm_file_says() -> None:
     found = REVERSED.counting(usual)
     assert found is not None
     assert found.toml == "[joints]\nsign = [-1, 1, 1]"
-    every = Reading((0, 1, 2), (1, 1, 1), (0, 0, 0), sums=((1, 0, 0), (0, 1, 0), (1, 1, 1)))
-    assert every.counting(usual) is None
+    assert Reading((0, 1, 2), (1, 1, 1), (0, 0, 0), sums=((1, 0, 0), (0, 1, 0), (1, 1, 1))).counting(usual) is None
     assert replace(REVERSED, mirrored=True).counting(usual) is None  # no counting of joints mirrors the frame
 
 

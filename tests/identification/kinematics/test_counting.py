@@ -42,8 +42,7 @@ def countings(draw: st.DrawFn, joints: int | None = None) -> Counting:
     for place, joint in enumerate(order):
         coupled[joint - 1] = draw(st.sampled_from([0, *order[:place]])) * draw(st.sampled_from([1, -1]))
     signs = draw(st.lists(st.sampled_from([1, -1]), min_size=n, max_size=n))
-    zeros = draw(st.lists(st.floats(-7.0, 7.0), min_size=n, max_size=n))
-    return Counting(tuple(signs), tuple(coupled), tuple(zeros))
+    return Counting(tuple(signs), tuple(coupled), tuple(draw(st.lists(st.floats(-7.0, 7.0), min_size=n, max_size=n))))
 
 
 def shown(counting: Counting, joints: np.ndarray) -> list[float]:
@@ -87,8 +86,7 @@ def test_limits_hold_all_that_columns_allow(counting: Counting, random: object) 
 def test_joint_3_from_the_horizontal() -> None:
     """Joint 2 at 30 and joint 3 at 20 degrees from it: the column of joint 3, reversed and with a zero of 5, is -45."""
     counting = Counting((1, 1, -1), (0, 0, 2), (0.0, 0.0, np.radians(5.0)))
-    q = np.radians([10.0, 30.0, 20.0])
-    np.testing.assert_allclose(np.degrees(counting.columns(q)), [10.0, 30.0, -45.0])
+    np.testing.assert_allclose(np.degrees(counting.columns(np.radians([10.0, 30.0, 20.0]))), [10.0, 30.0, -45.0])
     assert counting.toml == "[joints]\nsign = [1, 1, -1]\ncoupled_to = [0, 0, 2]\nzero_deg = [0.0, 0.0, 5.0]"
     # joints 2 and 3 both rising: column 3 falls; joint 2 rising, joint 3 falling: nobody knows
     directions = np.array([[1.0, 1.0, 1.0], [1.0, 1.0, -1.0], [np.nan, -1.0, -1.0]])
@@ -194,8 +192,7 @@ def test_limits_are_the_controllers(arm: Arm) -> None:
     assert arm.counting == COUNTING
     np.testing.assert_allclose(np.degrees([arm.lower, arm.upper]), [[-170.0, -150.0, -25.0], [170.0, -10.0, 305.0]])
     problem = DesignProblem.of(Model(arm))
-    generator = np.random.default_rng(3)
-    q = generator.uniform(arm.lower, arm.upper, (2000, 3))
+    q = np.random.default_rng(3).uniform(arm.lower, arm.upper, (2000, 3))
     joints = np.degrees(q)
     columns = np.column_stack([joints[:, 0], 90.0 + joints[:, 1], 5.0 - joints[:, 1] - joints[:, 2]])
     within = np.all((columns >= [-170.0, -60.0, -150.0]) & (columns <= [170.0, 80.0, 40.0]), axis=1)
@@ -235,8 +232,7 @@ def test_measurements_and_targets(tmp_path: Path, arm: Arm) -> None:
     assert not known[:, 2].all()  # joint 2 falls, column 3 too: the joint may do either
     np.testing.assert_array_equal(again.directions[known], data.directions[known])
     (tmp_path / "targets.csv").write_text(Plan(q, joint_types=arm.joint_types).text())
-    wanted = load_targets(tmp_path / "targets.csv", arm)["postures"]
-    np.testing.assert_allclose(wanted, q, atol=1e-12)
+    np.testing.assert_allclose(load_targets(tmp_path / "targets.csv", arm)["postures"], q, atol=1e-12)
     (tmp_path / "plan.csv").write_text("run,q1_deg,q2_deg,q3_deg,direction1,direction2,direction3\n1,1,2,3,1,-1,-1\n")
     found = Plan.load(tmp_path / "plan.csv", arm.joint_types).conditions["directions"]
     np.testing.assert_array_equal(found, [[1.0, -1.0, 1.0]])

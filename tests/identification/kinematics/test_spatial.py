@@ -240,8 +240,7 @@ SET = ParameterSet([LENGTH_1, OFFSET_1, Parameter("backlash:2.b", "rad"), LENGTH
 
 
 def test_vector_and_mapping_are_inverse() -> None:
-    values = {"length_error:2": 2.0, "joint_offset:1": 0.1, "of another model": 9.0}
-    vector = SET.vector(values)
+    vector = SET.vector({"length_error:2": 2.0, "joint_offset:1": 0.1, "of another model": 9.0})
     np.testing.assert_array_equal(vector, [0.0, 0.1, 0.0, 2.0])
     np.testing.assert_array_equal(SET.vector({}, default=np.nan), np.full(4, np.nan))
     expected = {"length_error:1": 0.0, "joint_offset:1": 0.1, "backlash:2.b": 0.0, "length_error:2": 2.0}

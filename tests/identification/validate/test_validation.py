@@ -257,16 +257,14 @@ def test_another_set_up_keeps_the_geometry_of_curves_in_space() -> None:
     moved = there @ from_angles((-2.0, 0.7, 0.2)).T + [300.0, 50.0, -700.0]
     data = Measurements(q, moved, marker=np.full(80, "ball"))
     assert validate(arm, data).model.max < 5e-3
-    bare = arm.with_effects(replace(effects[0], curve=replace(curve, geometry={})))
-    assert validate(bare, data).model.rms > 0.1
+    assert validate(arm.with_effects(replace(effects[0], curve=replace(curve, geometry={}))), data).model.rms > 0.1
 
 
 def test_no_row_of_a_slide_is_outside_what_it_was_identified_on() -> None:
     """Nine digits of a travel of hundreds of millimetres are fewer decimals than those of an angle."""
     chain = chain_of([DHRow(300.0, 0.0, 100.0), DHRow(0.0, 0.0, 50.0, type=PRISMATIC, limits=(0.0, 1000.0))])
     q = np.column_stack([np.linspace(-1.0, 1.0, 9), np.linspace(102.529714, 977.470693, 9)])
-    known = Calibration({}, provenance=joint_range(q, chain.joint_types))
-    arm = replace(Arm(chain), calibration=known)
+    arm = replace(Arm(chain), calibration=Calibration({}, provenance=joint_range(q, chain.joint_types)))
     assert not outside(arm, q).any()
     np.testing.assert_array_equal(outside(arm, q + np.array([0.0, 0.001]))[:, 1], [False] * 8 + [True])
 
