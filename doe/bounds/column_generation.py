@@ -185,9 +185,10 @@ class ContinuousSet:
         for pair in float(np.abs(self.sensitivities(q, gradient)).max(initial=0.0)) * heights.T:
             barrier = pair[kind]
             q = newton_ascent(q, height, slopes, limits, problem.joint_units, 1e-3 * barrier, stop)
-            # most starts share a maximum; of those within 1e-6 rad that came by the same barriers one climbs on
-            apart = distinct(np.column_stack([problem.comparable(q), kind]), 1e-6)
-            q, kind = q[apart], kind[apart]
+            if problem.constraints:
+                # most starts share a maximum; of those within 1e-6 rad that came by the same barriers one climbs on
+                apart = distinct(np.column_stack([problem.comparable(q), kind]), 1e-6)
+                q, kind = q[apart], kind[apart]
         return q
 
 
