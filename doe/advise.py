@@ -23,10 +23,36 @@ from doe.problem.model import NEEDS_SIGMA
 from doe.problem.problem import DesignProblem
 from doe.solvers import solve
 from identification import Arm, Array, InputError, Progress, Status, require
+from identification.document import Document, Documented, Sheet, in_a_sentence, number
+
+# key of `tip_error_mm` -> heading
+TIP_ERRORS = {
+    "model_right": "model\nright\n[mm]",
+    "model_right_worst": "worst\npose\n[mm]",
+    "effects_missing": "effects\nmissing\n[mm]",
+    "effects_missing_prior": "library\nprior\n[mm]",
+}
+RIGHT = (
+    "Expected errors of the tip where nothing was measured, if the model is right: RMS over the workspace, and at the "
+    "worst of its poses."
+)
+BOUND_CUT = (
+    "The search for the bound was cut by the time limit: plans may be better than their efficiency says. Raise "
+    "--seconds to know."
+)
+DIAGNOSED = (
+    "The model has the effects that its diagnosis found, at the sizes measured; others are not counted: armcal "
+    "diagnose says which sizes its data rule out. armcal validate compares it with new measurements."
+)
+MISSING = (
+    "The last two columns: if effects of typical size are missing, and if these are allowed for by identify "
+    "--library-prior. They may rise with the runs: more runs do not help against a missing effect; the fit hides it in "
+    "wrong lengths and zeros. Where effects may be missing, choose the postures with armcal design --robust."
+)
 
 
-@dataclass(frozen=True)
-class Advice:
+@dataclass(frozen=True, repr=False)
+class Advice(Documented):
     """The best plan found for every number of runs asked for.
 
     designs : in the order of `runs`
@@ -83,6 +109,45 @@ class Advice:
             rows.append(row | {"tip_error_mm": finite or None})
         smallest = None if self.smallest is None else len(self.smallest.plan)
         return {"rows": rows, "target_mm": self.target, "smallest_runs": smallest}
+
+    def document(self) -> Document:
+        """The answer in one sentence, a row for each number of runs, and what the figures do not promise."""
+        missing = any(np.isfinite(each["effects_missing"]) for each in self.tip_errors.values())  # before a diagnosis
+        tips = dict([*TIP_ERRORS.items()][: 4 if missing else 2]) if self.tip_errors else {}
+        of_lengths = not self.of_tip and any(design.deviations for design in self.designs)
+        headings = ["runs", "efficiency", *(["length\nstd\n[mm]", "angle\nstd\n[deg]"] if of_lengths else [])]
+        rows = []
+        for runs, design in zip(self.runs, self.designs, strict=True):
+            star, sure = " *" if (design.efficiency or 0.0) >= 0.999 else "  ", design.deviations  # of the bound
+            row = [str(runs), f"{number(design.efficiency, 5)}{star}"]
+            if of_lengths:
+                largest = (None, None) if sure is None else (sure.largest("mm"), np.degrees(sure.largest("rad")))
+                row += [number(value, 5) for value in largest]
+            rows.append([*row, *(number(self.tip_errors[runs][key], 4) for key in tips)])
+        parts: list[Any] = [Sheet([*headings, *tips.values()], rows, most=40)]
+        parts += ["* within 0.1 % of the bound."] if self.efficient_runs() else []
+        parts += [BOUND_CUT] if any(design.bound and design.bound.cut for design in self.designs) else []
+        parts += [design.status.value for design in self.designs if design.status is Status.interrupted]
+        parts += [RIGHT, MISSING if missing else DIAGNOSED] if self.tip_errors else []
+        return Document("How many runs", [self.verdict], parts)
+
+    @property
+    def verdict(self) -> str:
+        """What to do, in one line."""
+        runs = np.array(sorted(self.efficient_runs()), dtype=int)
+        stretches = np.split(runs, np.flatnonzero(np.diff(runs) != 1) + 1) if runs.size else []
+        good = ", ".join(f"{part[0]}" if len(part) == 1 else f"{part[0]} to {part[-1]}" for part in stretches)
+        efficient = f"Plans within 0.1 % of the bound exist for m = {good}."
+        efficient = efficient if good else "None of these plans is within 0.1 % of the bound."
+        if self.target is None:
+            return efficient
+        if (smallest := self.smallest) is None:
+            return f"None of these plans, of up to {max(self.runs)} runs, reaches {self.target:g} mm. {efficient}"
+        of = "at the tip" if self.of_tip else "in each length"
+        lacks = self.tip_errors.get(len(smallest.plan), {}).get("effects_missing", np.inf)
+        missing = f"; at the tip {in_a_sentence(lacks)} mm if effects of typical size are missing"
+        right = f"if the model is right{missing if np.isfinite(lacks) else ''}"
+        return f"{len(smallest.plan)} runs suffice for {self.target:g} mm {of}, {right}. {efficient}"
 
 
 def with_scatter(arm: Arm) -> tuple[Arm, str]:

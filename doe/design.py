@@ -14,11 +14,17 @@ from doe.bounds.certificate import CERTIFIED, NUMERICAL, PROVEN, Bound, PlanOfPr
 from doe.bounds.column_generation import best_known_bound, bound_that_holds
 from doe.bounds.planar_theorem import table_1_max_residual
 from doe.plan.accuracy import ExpectedDeviations, error_at_poses, plan_jacobians
+from doe.plan.spacing import places_of_free_joint
 from doe.problem.model import turns
 from doe.problem.problem import DesignProblem
 from identification import Array, InputError, Plan, Status, spectrum
+from identification.document import Document, Sheet, count_of, in_a_sentence, number
 
 BEST_KNOWN = "best known"  # what a plan is of which no bound says that it is optimal
+WHAT_TO_FIT = (  # and not `identify --library-prior` at once: what has a name corrects more (identification/README.md)
+    "armcal diagnose names those that the data show; identify --library-prior allows for all of them without names, "
+    "and the error at the tip expected here is that of such a fit alone"
+)
 
 
 @dataclass(frozen=True, repr=False)
@@ -161,14 +167,138 @@ class Design(PlanOfProblem):
             "seconds": self.seconds,
         }
 
-    def __str__(self) -> str:
-        efficiency = self.no_efficiency or f"efficiency {self.efficiency:.6f}"
+    # -- in words --------------------------------------------------------------------------------------------------
+    def document(self) -> Document:
+        """Value, bound, efficiency, what a person reads first; then the postures, the accuracy, what may be missing."""
+        plan, beside = self.plan, self.columns_beside
+        if plan.weights is not None:
+            beside["weight"] = [f"{share:.5f}" for share in plan.shares]
+        numbered = enumerate(zip(plan.displayed, *beside.values(), strict=True), start=1)
+        rows = [[str(run), *(f"{angle:.3f}" for angle in q), *more] for run, (q, *more) in numbered]
+        table = Sheet(["run", *plan.headings, *beside], rows, "Plan", 24)
+        parts = [self._facts(), *self._remarks(), table, *self._accuracy(), *self._missing()]
+        return Document("Plan", [self.verdict], parts)
+
+    @property
+    def verdict(self) -> str:
+        """How good the plan is, in a sentence or two."""
+        runs, bound = count_of(len(self.plan), "run"), self.bound
         optimal = f", {self.optimality_in_words}" if self.certified_optimal else ""
-        value = round(self.value, 12) + 0.0  # no -1e-16
-        return (
-            f"{len(self.plan)} runs of a {self.plan.links}-link arm, {self.problem.criterion.name} = {value:.8g} "
-            f"({efficiency}{optimal})\n  bound {self.bound or 'none'}\n  {self.status.name}: {self.status.value}"
+        criterion = f"{self.problem.criterion.name}{optimal}"
+        if not (error := self.expected_error):
+            why = self.no_efficiency
+            efficiency = f"no efficiency: {why}" if why else f"the efficiency {self.efficiency:.4f}"
+            return f"The plan of {runs} has {efficiency} ({criterion})."
+        sentence = f"With the plan of {runs} (criterion {criterion}) expect an error of "
+        listed = self.problem.choices is not None and not self.problem.sampled
+        where = "candidates" if listed and not getattr(self.problem.model, "tied", False) else "workspace"
+        sentence += f"{in_a_sentence(error['plan'])} mm at the tip, RMS over the {where} or --test-poses"
+        sentence += f", if fitted by armcal identify --{fit}" if (fit := self.problem.fit) else ""
+        if bound is None or error["bound"] is None or self.efficiency is None:
+            return f"{sentence}."  # no bound applies to a plan outside the limits
+        kind = "" if bound.rigorous else " (a numerical bound)"
+        sentence += f"; no plan of {runs} from {bound.postures} is below {in_a_sentence(error['bound'])} mm{kind}"
+        # a plan of whole runs should reach nine tenths of the bound where it determines every parameter
+        hope = "Do not expect it near 1: the" if self.efficiency < 0.9 else "The"
+        judge = f"{hope} bound allows fractions of a run. Judge by the mm."
+        return f"{sentence}. Efficiency {self.efficiency:.4f}. {judge}"
+
+    def _facts(self) -> Sheet:
+        """Value, bound, efficiency; of criterion I not its own scale, which says nothing more than the millimetres."""
+        bound, kind, in_mm = self.bound, self.problem.criterion.name, self.expected_error is not None
+        table_1, runs, links = self.table_1_max_residual, len(self.plan), self.plan.links
+        words = bound.words if bound and not self.outside else ""
+        highest = f"{number(bound.value, 7)} ({words})" if bound and words and not in_mm else ""
+        efficiency = f"-: {self.no_efficiency}" if self.no_efficiency else number(self.efficiency, 6)
+        optimal = self.optimality_in_words or "not shown"
+        optimal += ": the bound does not say that it is optimal" if self.optimality == BEST_KNOWN else ""
+        return Sheet.facts(
+            {
+                "criterion": f"{kind}, {count_of(runs, 'run')}, {count_of(links, 'link')}",
+                f"value of {kind}": "" if kind == "D" or in_mm else number(self.value, 7),
+                "information (log det M')": "" if kind == "I" else number(self.log_det, 7),
+                "upper bound" if kind == "D" else f"upper bound of {kind}": highest,
+                "efficiency": f"{efficiency} of the bound ({words})" if words and in_mm else efficiency,
+                "optimal": optimal,
+                "deviation from orthogonality (Table I)": "" if table_1 is None or kind == "I" else number(table_1, 6),
+                "solver": self.solver and f"{self.solver}, {count_of(self.starts, 'start')}, {self.seconds:.2f} s",
+                "status": self.status.value,
+            }
         )
+
+    def _remarks(self) -> list[str]:
+        """How many postures are measured already; why there is no log det, where there is none; and what the rule
+        against repeats may cost, where a search kept it and the bound is not reached."""
+        problem, lines = self.problem, list[str]()
+        alike = ", under one payload, temperature, time and approach" * bool(getattr(problem.model, "needs", ()))
+        if kept := len(problem.kept):
+            lines.append(
+                f"every figure is of these runs and the {kept} measured already (--keep) in one session{alike}"
+            )
+        if not np.isfinite(self.log_det):
+            still, combinations = problem.without_effect, self.not_identifiable
+            why = (
+                f"not estimable from the plan: {', '.join(combinations[:4])}{', ...' * (len(combinations) > 4)}{alike}"
+            )
+            if not combinations:
+                why = "the information matrix of the plan is singular to the precision of the computer"
+            elif still:
+                why = f"under one payload, temperature, time and approach nothing depends on {', '.join(still)}"
+            lines.append(f"no log det: {why}")
+        moved_apart = problem.minimum_distance > 0.0 and problem.choices is None and places_of_free_joint(problem) == 1
+        if self.solver and not self.certified_optimal and len(self.plan) > 1 and moved_apart:
+            better = "armcal design --repeats lets them be equal, which can be better"
+            lines.append(f"postures are kept {problem.spacing} apart; {better}")
+        return lines
+
+    def _accuracy(self) -> list[Sheet | str]:
+        """Expected standard deviations per link of a planar arm, else per parameter, those that may be missing and
+        those that the prior of [machining] holds left out and counted; or why there are none."""
+        problem, sigma, mean, weak = self.problem, self.problem.model.sigma, self.deviations, 0
+        if sigma is None or mean is None:
+            why = "the arm file has no sigma_mm" if sigma is None else "not every parameter is estimable from the plan"
+            return [f"No expected standard deviations: {why}."]
+        if mean.by_link:
+            columns = mean.length, np.degrees(mean.orientation), np.degrees(mean.joint_offset)
+            headings = ["link", "length [mm]", "orientation [deg]", "joint offset [deg]"]
+            each = enumerate(zip(*columns, strict=True), start=1)
+            rows = [[str(j), *(number(v, 5) for v in values)] for j, values in each]
+        else:
+            headings, rows = ["parameter", "std"], []
+            for parameter, std in zip(mean.parameters, mean.values.tolist(), strict=True):
+                # above half of the deviation before, the prior says more of a parameter than the plan
+                if not parameter.of_effect and std > 0.5 * problem.deviations.get(parameter.name, np.inf):
+                    weak += 1
+                elif parameter.name not in problem.missing:
+                    rows.append([f"{parameter.name} [{parameter.file_unit}]", number(std * parameter.to_file, 5)])
+        condition = "if effects of typical size may be missing" if problem.missing else "if the model is complete"
+        own = problem.fit == "library-prior"  # effects of --missing alone have none
+        noise = f"{sigma:.4g} mm" + ", an error of each posture included" * own
+        noise += "" if self.plan.weights is None else f", {len(self.plan)} runs shared out by the weights"
+        table = Sheet(headings, rows, f"Expected standard deviations {condition} (sigma = {noise})")
+        held = "more that these postures hardly determine: the prior of [machining] holds them; --json has all"
+        return [table, *([f"and {weak} {held}"] if weak else [])]
+
+    def _missing(self) -> list[str]:
+        """What a plan is for where effects may be missing; or, where the model has none, that they may be."""
+        problem, missing = self.problem, self.problem.missing
+        held = len(problem.deviations) - len(missing)
+        lines = [f"{held} corrections of the geometry have the prior of its machining"] if held else []
+        if missing:
+            effects = {name.partition(":")[0].partition(".")[0] for name in missing}
+            named = f"{len(missing)} parameters of {', '.join(sorted(effects))}"
+            order = (
+                ", which also allows for what follows from the order of its rows (backlash, drifts), and expects more"
+            )
+            more = order if problem.fit == "library-prior" else ""
+            lines.append(f"may be missing, each of its typical size: {named}; {WHAT_TO_FIT}{more}")
+            equations = len(self.plan) * problem.model.dimension
+            if equations < problem.parameters:
+                few = f"{equations} equations for {problem.parameters} parameters"
+                lines.append(f"{few}: so few runs stay far from the bound")
+        elif problem.model.sigma is not None and not any(p.of_effect for p in problem.model.parameters):
+            lines.append("The model has no effects, but a real arm has: --robust counts those of the library.")
+        return lines
 
 
 def score(problem: DesignProblem, plan: Plan | ArrayLike, bound: Bound | None = None) -> Design:

@@ -7,6 +7,7 @@ Everything here is recomputed from the stored problem; no number of a solver is 
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -15,8 +16,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from doe.criteria import D
+from doe.problem.model import offers
 from doe.problem.problem import DesignProblem, PriorInformation
 from identification import Array, Plan, Status
+from identification.document import Document, Documented, Sheet, number
 
 CERTIFIED = 1.0 - 1e-6  # efficiency from which a plan is called optimal
 SCOPES = {"closed_form": "all postures", "continuous": "all postures", "grid": "list"}
@@ -81,7 +84,7 @@ class Bound:
 
 
 @dataclass(frozen=True, repr=False)
-class PlanOfProblem:
+class PlanOfProblem(Documented):
     """A plan for a problem, and what its information, recomputed from these, is worth."""
 
     problem: DesignProblem
@@ -102,11 +105,11 @@ class PlanOfProblem:
         """log det M' (doe/README.md, "Information matrix"), whatever the criterion."""
         return float(D().value(self.information))
 
-    def __repr__(self) -> str:
-        return str(self)
-
-    def _repr_html_(self) -> str:
-        return self.plan.to_html(self)
+    @property
+    def columns_beside(self) -> dict[str, Sequence[str]]:
+        """What the model says of the postures besides, name -> (m,): the cup that each touches, say."""
+        model: Any = self.problem.model
+        return dict(model.plan_columns(self.plan.postures)) if offers(model, "plan_columns") else {}
 
 
 @dataclass(frozen=True, repr=False)
@@ -227,10 +230,28 @@ class ApproximateDesign(PlanOfProblem):
             "seconds": self.seconds,
         }
 
-    def __str__(self) -> str:
-        where = "the continuous set" if self.candidates is None else f"{self.candidates} candidates"
-        return (
-            f"{self.problem.criterion.name}-optimal weights on {len(self.plan)} postures of {where} ({self.solver}, "
-            f"{self.seconds:.3g} s)\n  value {self.value:.10g}, bound {self.bound or 'none'}, gap {self.gap:.2g}, "
-            f"efficiency >= {self.efficiency_lower_bound:.10g}\n  {self.status.name}: {self.status.value}"
-        )
+    def document(self, compared: Sequence[Mapping[str, Any]] = (), runs: int | None = None) -> Document:
+        """Value, bound and efficiency, then the support, heaviest first, and independent answers side by side.
+
+        compared : rows of `cross_check`;  runs : m, where the value depends on it, as that of a prior per run does
+        """
+        where = "all postures" if self.candidates is None else f"{self.candidates} candidates"
+        kind = self.problem.criterion.name
+        weighted = zip(self.plan.shares, self.plan.displayed, strict=True)
+        of_runs = "" if runs is None else f", {runs} runs"
+        rows = [[f"{weight:.5g}", *(f"{angle:.2f}" for angle in q)] for weight, q in weighted]  # none is printed as 0
+        facts: dict[str, str | None] = {
+            "criterion": f"{kind} over {where}{of_runs}, {len(self.plan)} with positive weight",
+            "value": number(self.value, 9),
+            "upper bound": "-" if self.bound is None else str(self.bound),
+            f"gap ({'max d - p' if kind == 'D' else 'max tr(G F) - tr(G M)'})": f"{max(self.gap, 0.0):.2g}",
+            "efficiency at least": number(self.efficiency_lower_bound, 9),
+            "solver": ", ".join(filter(None, [self.solver, self.solver_status, f"{self.seconds:.2f} s"])),
+            "status": self.status.value,
+        }
+        support = Sheet(["weight", *self.plan.headings], rows, "Support", 24)
+        digits = {"value": 7, "bound": 7, "table_1_max_residual": 4}
+        answers = [[row["method"], row["space"], *(number(row[k], n) for k, n in digits.items())] for row in compared]
+        title = "Cross-check: independent answers (Table I: deviation from orthogonality)"
+        check = Sheet(("method", "over", "value", "upper bound", "Table I"), answers, title)
+        return Document("Weights", [], [Sheet.facts(facts), support, check])

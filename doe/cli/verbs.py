@@ -163,7 +163,6 @@ def design_files(
     """
     from doe.plan.accuracy import ExpectedTip, with_choices
     from doe.plan.moves import drive, with_approach
-    from doe.report.design import columns_beside, design_document, discriminating_parts, missing_lines
     from identification import load_arm
 
     require(not (criterion.robust and discriminating), "--discriminating: found with --robust, allowed: one of them")
@@ -205,16 +204,16 @@ def design_files(
         driven = drive(*planned, late)
     except KeyboardInterrupt:  # the plan is there; moves that are not proven by now are named
         driven = drive(*planned, lambda: True)
-    design, extra = replace(design, plan=driven.plan), [*missing_lines(design)]
+    design = replace(design, plan=driven.plan)
+    document = design.document()
     if discriminating:
         chosen = chosen.driven(driven.plan)
-        data, extra = chosen.to_json(), discriminating_parts(chosen)
+        data, document = chosen.to_json(), chosen.document()
     expected = ExpectedTip.of(design.problem, design.plan.postures, seed)
     data["expected_tip"] = None if expected is None else expected.to_json()
-    extra += [] if expected is None else [str(expected)]
+    extra = [*([] if expected is None else [str(expected)]), *driven.lines]
     data |= driven.data
-    extra += driven.lines
-    files: dict[Path | None, tuple[str, Any]] = {out: ("plan", driven.moves.text(columns_beside(design)))}
+    files: dict[Path | None, tuple[str, Any]] = {out: ("plan", driven.moves.text(design.columns_beside))}
     if picture is not None:
         from doe.report.figures import plan_figure  # matplotlib takes longer to load than a small design
 
@@ -222,7 +221,7 @@ def design_files(
     first = "--out plan.csv writes this plan; " if out is None else ""
     then = f"; then armcal identify {arm} DATA --{problem.fit} --out calibrated.toml" if problem.fit else ""
     extra.append(f"Next: {first}measure the tip at these postures, then armcal check {arm} DATA{then}")
-    answer = Answer(design.to_json() | data, design_document(design).plus(*extra), files=files)
+    answer = Answer(design.to_json() | data, document.plus(*extra), files=files)
     return with_collisions(answer, design.problem, design.plan.postures)
 
 
@@ -242,7 +241,6 @@ def score_files(
     seconds : Time budget of the search for the bound [s].
     """
     from doe.plan.accuracy import average_error, criterion_values, error_at_poses, observability, with_choices
-    from doe.report.design import design_document
     from identification import Plan, design_model, load_arm
 
     loaded = load_arm(arm, package_dir)
@@ -284,7 +282,7 @@ def score_files(
     lines.append(f"observability indices: {indices}")
     if getattr(problem.model, "needs", ()) and any(column is not None for column in judged.conditions.values()):
         lines.append("Payloads, temperatures and directions of the plan count in the following; above, all are alike.")
-    return with_collisions(Answer(data, design_document(design).plus(*lines, *tables)), problem, judged.postures, moves)
+    return with_collisions(Answer(data, design.document().plus(*lines, *tables)), problem, judged.postures, moves)
 
 
 @VERBS.declare("armcal advise arm.toml --runs 4:40 --target-mm 0.02")
@@ -307,7 +305,6 @@ def advise_files(
     seconds : Time budget of all numbers of runs together [s].
     """
     from doe.advise import advise, with_scatter
-    from doe.report.design import advice_document
     from identification import load_arm
 
     loaded, given_sigma = with_scatter(load_arm(arm, package_dir))
@@ -320,7 +317,7 @@ def advise_files(
     numbers = range(max(low, fewest), high + 1)
     advice = advise(problem, numbers, target=target_mm, seed=seed, seconds=seconds, progress=progress)
     doubts = [given_sigma] if given_sigma else []
-    return with_collisions(Answer(advice.to_json(), advice_document(advice).plus(*doubts), warnings=doubts), problem)
+    return with_collisions(Answer(advice.to_json(), advice.document().plus(*doubts), warnings=doubts), problem)
 
 
 @VERBS.declare("armcal relax arm.toml --grid 9 --solver clarabel")
@@ -354,7 +351,6 @@ def relax_files(
     """
     from doe.bounds.column_generation import LARGEST, relax
     from doe.plan.accuracy import with_choices
-    from doe.report.design import columns_beside, relax_document
     from doe.solvers.solving import cross_check
     from identification import Plan, load_arm
 
@@ -390,8 +386,8 @@ def relax_files(
         exact = new or problem.parameters  # what a prior is worth depends on the runs
         compared = cross_check(checked, relaxation, exact, seed=seed, seconds=end - perf_counter())
         data["cross_check"] = compared
-    text = replace(relaxation.plan, fit=problem.fit).text(columns_beside(relaxation))
-    answer = Answer(data, relax_document(relaxation, compared, new), files={out: ("plan with weights", text)})
+    text = replace(relaxation.plan, fit=problem.fit).text(relaxation.columns_beside)
+    answer = Answer(data, relaxation.document(compared, new), files={out: ("plan with weights", text)})
     return with_collisions(answer, problem, relaxation.plan.postures)
 
 
@@ -471,7 +467,6 @@ def program_files(
     from doe import DesignProblem
     from doe.plan.moves import in_sentences
     from doe.program.program import program
-    from doe.report.design import posture_headings
     from identification import Plan, load_arm
 
     loaded = load_arm(arm, package_dir)
@@ -487,7 +482,7 @@ def program_files(
     counted = f"{count_of(runs, 'run')} and {count_of(vias, 'way-point')}"
     first = "nobody looked at the move to the first row: try it slowly"
     sentence = f"{counted}, about {made.seconds / 60.0:.1f} min without measuring; {first}"
-    headings = ["", *posture_headings(file), "after [s]"]
+    headings = ["", *file.headings, "after [s]"]
     rows = [[m["kind"], *(f"{q:.3f}" for q in m["joints"]), f"{m['seconds']:.0f}"] for m in made.moves]
     doubts = in_sentences(made.not_free)
     if robot == "kuka" and made.name.lower() != out.stem.lower():
@@ -526,7 +521,6 @@ def discriminate_files(
     out : Write the next postures (CSV).
     """
     from doe.discrimination.t_optimal import discriminate
-    from doe.report.design import next_document
     from identification import Plan, load_arm
 
     loaded, masses = load_arm(arm, package_dir), None
@@ -560,7 +554,7 @@ def discriminate_files(
         return left < 0.0
 
     chosen = discriminate(loaded, diagnosis, runs, seed, masses, stop=late)
-    document = next_document(diagnosis, chosen).plus(f"Measure these postures and append the rows to {data[-1]}.")
+    document = chosen.document().plus(f"Measure these postures and append the rows to {data[-1]}.")
     text = chosen.plan.text(further=chosen.columns)
     answer = Answer(keys | chosen.to_json(), document, files={out: ("next postures", text)})
     return with_collisions(answer, problem, chosen.plan.postures)
@@ -583,8 +577,8 @@ def report_files(
 
     out : Write the page.
     """
-    from doe.report.design import plan_section
     from doe.report.page import hashes
+    from doe.report.plan import plan_section
     from identification import campaign_document
 
     document, kinds = campaign_document(files, package_dir, plan_section)

@@ -15,8 +15,8 @@ from doe.design import Design
 from doe.plan.moves import drive
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem
-from doe.report.design import design_verdict, plan_section
 from doe.report.figures import AFTER, BEFORE, LIMIT, certificate_figure, draw_arm
+from doe.report.plan import plan_section
 from doe.solvers import solve
 from identification import Arm, Plan, Progress, design_model, load_arm, rms_distance
 from identification.document import Answer, Document, Pictures, Section, Sheet, number
@@ -154,7 +154,7 @@ def demo_document(demo: Demo) -> Document:
         Sheet(("parameter", "value", "low 95 %", "high 95 %", "truth", "unit"), values),
     ]
     within = " and the tracker's view" if arm.constraints else ""
-    chosen = f"Chosen within the joint limits{within}. {design_verdict(design)}"
+    chosen = f"Chosen within the joint limits{within}. {design.verdict}"
     diagnosed = diagnosis.document(nominal=demo.identified.data["rms_drawing_mm"])
     certificate = (
         "Equivalence theorem: a plan is D-optimal when the largest d(q) over all postures is p (dashed). The line is "

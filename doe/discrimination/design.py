@@ -31,6 +31,7 @@ from doe.problem.problem import information_of_each
 from doe.solvers import Solver, solve
 from doe.solvers.solver import LONG_PLAN, LONG_PLAN_SECONDS, Budget
 from identification import Array, Plan, Progress, Status, design_model, require, spectrum
+from identification.document import Document, Documented
 
 if TYPE_CHECKING:
     from doe.design import Design
@@ -157,8 +158,8 @@ class MisidentificationBound:
 
 
 # -- the plan ----------------------------------------------------------------------------------------------------------
-@dataclass(frozen=True)
-class Discrimination:
+@dataclass(frozen=True, repr=False)
+class Discrimination(Documented):
     """What a plan distinguishes, what it loses for that against the best one, and what it cannot see.
 
     design : judged by the criterion of the problem;  best : the best plan without regard to missing effects
@@ -209,6 +210,23 @@ class Discrimination:
             "not_visible": invisible[0],
             "not_visible_in_best_plan": invisible[1],
         }
+
+    def document(self) -> Document:
+        """The plan, the efficiency that it gives up, and what it can detect in return."""
+        parts: list[Any] = [
+            f"D-efficiency relative to the best plan found: {self.relative_efficiency:.4f}",
+            f"probability that a missing effect gets a wrong name: at most {self.wrong:.3f} "
+            f"(the best plan: {self.best_wrong:.3f}, random postures: {self.random_wrong:.3f})",
+            f"  for effects whose total shift (root sum of squares) at as many random postures is {LAMBDA:g} sigma; "
+            "gear ripple, backlash and drift are left out",
+        ]
+        if self.sees is not None and self.best_sees is not None:
+            data = self.to_json()
+            clear, blind = (", ".join(data[f"not_visible{which}"]) or "none" for which in ("", "_in_best_plan"))
+            parts += [f"effects it cannot see: {clear} (the best plan: {blind})", *self.sees.document().parts]
+        elif len(self.design.plan) > MOST_SEEN:
+            parts.append(f"what a plan of more than {MOST_SEEN:,} runs can detect is not worked out")
+        return self.design.document().plus(*parts)
 
 
 def discrimination_design(

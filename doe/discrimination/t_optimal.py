@@ -10,7 +10,7 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import permutations
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.special import ndtr
@@ -18,13 +18,11 @@ from scipy.special import ndtr
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem, Stop, never
 from identification import Array, InputError, Plan, Status, require
-
-if TYPE_CHECKING:
-    from identification import Diagnosis
+from identification.document import Document, Documented, Sheet
 
 
-@dataclass(frozen=True)
-class NextPostures:
+@dataclass(frozen=True, repr=False)
+class NextPostures(Documented):
     """The measurements that should distinguish the candidates.
 
     plan : (K) postures in the order of measurement, and of their conditions `payload` (K,) [kg] where there was a
@@ -32,19 +30,16 @@ class NextPostures:
     directions : (K, n) of approach, +1 or -1 as the controller counts, where they matter
     chance : upper bound on the probability that only the right candidate is left, as linear models of all predict it:
         what evidence says of a rival's further parameters is not in it
-    pairs : (candidate, rival) -> expected lambda between them;  status : `local_optimum`, or what ended it
+    pairs : (candidate, rival) -> expected lambda between them;  diagnosis : of which the candidates are
+    status : `local_optimum`, or what ended it
     """
 
     plan: Plan
     chance: float
     pairs: dict[tuple[str, str], float]
+    diagnosis: Any
     status: Status = Status.local_optimum
     directions: Array | None = None
-
-    def __str__(self) -> str:
-        cut = ", their search was cut" if self.status is not Status.local_optimum else ""
-        chance = f"at most {100.0 * self.chance:.0f} %, by a linear estimate"
-        return f"{len(self.plan)} postures{cut}; probability that the right candidate alone is left: {chance}"
 
     @property
     def columns(self) -> dict[str, Array]:
@@ -65,6 +60,21 @@ class NextPostures:
             "pairs": [{"candidate": a, "rival": b, "lambda": size} for (a, b), size in self.pairs.items()],
         }
 
+    def document(self) -> Document:
+        """The chance, the rivals, the postures, and what to do before their rows can be appended: measurements without
+        a payload column mean the arm's own payload."""
+        columns = {"run": np.arange(1, len(self.plan) + 1), **self.plan.columns, **self.columns}
+        arm, measured = self.diagnosis.arm, self.diagnosis.measurements.conditions
+        rows = [[f"{value:g}" for value in row] for row in zip(*columns.values(), strict=True)]
+        notes = []
+        if "payload_kg" in columns and measured.payload is None and arm.gravity is not None:
+            notes = [f"note: the measured rows need a column payload_kg too: {arm.gravity.payload:g} in each of them"]
+        cut = ", their search was cut" if self.status is not Status.local_optimum else ""
+        chance = f"at most {100.0 * self.chance:.0f} %, by a linear estimate"
+        verdict = f"{len(self.plan)} postures{cut}; probability that the right candidate alone is left: {chance}"
+        table = Sheet(list(columns), rows, "Next postures")
+        return Document("Next postures", [verdict], [self.diagnosis.sentence, table, *notes])
+
 
 @dataclass(frozen=True)
 class RivalPredictions:
@@ -83,7 +93,7 @@ class RivalPredictions:
     right: float = 1.0
 
     @classmethod
-    def of(cls, diagnosis: Diagnosis, postures: Array, payload: Array | None, directions: Array) -> RivalPredictions:
+    def of(cls, diagnosis: Any, postures: Array, payload: Array | None, directions: Array) -> RivalPredictions:
         """Of every candidate, at postures (N, n), with payloads (N,) [kg] and directions of approach (N, n), as
         `Diagnosis.predictions` has them."""
         positions, jacobians, sigma = [], [], diagnosis.sigma
@@ -132,7 +142,7 @@ class RivalPredictions:
 
 def discriminate(
     model: Any,
-    diagnosis: Diagnosis,
+    diagnosis: Any,
     runs: int,
     seed: int = 0,
     payloads: tuple[float, ...] | None = None,
@@ -171,6 +181,7 @@ def discriminate(
         Plan(pool[chosen], joint_types=problem.model.joint_types, conditions=conditions),
         rivals.right * float(rivals.weights @ chance.min(axis=1)),
         {(names[i], names[j]): float(np.sqrt(squares[i, j])) for i, j in permutations(range(len(names)), 2)},
+        diagnosis,
         status,
         directions[chosen] if "directions" in diagnosis.needs else None,
     )

@@ -1,1 +1,1 @@
-"""Tables, pictures and pages. Everything here reads results; nothing solves."""
+"""Pictures and pages. Everything here reads results; nothing solves."""

@@ -11,7 +11,6 @@ import re
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from html import escape
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Self
@@ -332,6 +331,11 @@ class Plan(ByValue):
         return tuple(name.partition("_")[2] for name in self.columns)
 
     @property
+    def headings(self) -> list[str]:
+        """(n) `q1 [deg]` and so on."""
+        return [f"q{joint} [{unit}]" for joint, unit in enumerate(self.units, start=1)]
+
+    @property
     def displayed(self) -> Array:
         """(m, n) postures in `units`, as the controller counts."""
         return readonly(np.column_stack([*self.columns.values()]))
@@ -373,10 +377,6 @@ class Plan(ByValue):
         kinds = JointKinds(joint_types)
         scaled = displayed * [next(iter(UNITS[QUANTITIES[kind]].values())) for kind in kinds]
         return cls(kinds.counting.joints(scaled), joint_types=kinds)
-
-    def to_html(self, caption: object) -> str:
-        """A caption and the postures, for notebooks."""
-        return f"<pre>{escape(str(caption))}</pre>\n{self._repr_html_()}"
 
     def _repr_html_(self) -> str:
         columns = self.columns if self.weights is None else self.columns | {"weight": self.weights}

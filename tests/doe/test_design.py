@@ -12,12 +12,11 @@ import numpy as np
 import pytest
 
 from doe import Design, DesignProblem, score, score_plan, solve
-from doe.advise import advise, with_scatter
+from doe.advise import BOUND_CUT, advise, with_scatter
 from doe.bounds.certificate import Bound
 from doe.bounds.column_generation import relax
 from doe.bounds.planar_theorem import closed_form_bound
 from doe.criteria import A
-from doe.report.design import BOUND_CUT, advice_document, advice_sentence, remarks
 from doe.solvers.solving import cross_check
 from identification import Arm, Calibration, EffectSpec, InputError, Plan, Status
 from identification.document import Sheet
@@ -64,13 +63,13 @@ def test_what_the_plan_does_not_tell_is_said() -> None:
         assert data["log_det"] is data["std"]["length_mm"] is None
     still = score(problem(FOUR, EffectSpec("thermal_growth")), some_plan(12))
     assert (still.log_det, still.to_json()["not_identifiable"]) == (-np.inf, ["thermal_growth.a"])
-    assert "nothing depends on thermal_growth.a" in remarks(still)[0]
-    assert "not estimable from the plan" in remarks(score(case, np.repeat(some_plan(2), 4, axis=0)))[0]
+    assert "nothing depends on thermal_growth.a" in str(still)
+    assert "not estimable from the plan" in str(score(case, np.repeat(some_plan(2), 4, axis=0)))
     told = score(case, plan)
     assert told.to_json()["not_identifiable"] == []
-    assert not any("no log det" in line for line in remarks(told))
+    assert "no log det" not in str(told)
     walls = replace(case, constraints=(WorkspaceBox((-660.0, 660.0), (-660.0, 660.0)),))
-    assert not remarks(score(walls, np.repeat(plan, 2, axis=0)))  # nobody kept its postures apart
+    assert not score(walls, np.repeat(plan, 2, axis=0))._remarks()  # nobody kept its postures apart
 
 
 def test_certified_from_one_millionth_and_no_efficiency_is_above_one() -> None:
@@ -153,7 +152,7 @@ def test_lengths_are_known_to_sigma_over_the_root_of_the_runs() -> None:
     assert len(found.smallest.plan) == 7
     assert found.efficient_runs() == found.runs
     assert replace(found, target=1e-3).smallest is None
-    said = advice_sentence(found)
+    said = found.verdict
     assert said.startswith("7 runs suffice for 0.04 mm in each length, if the model is right; at the tip ")
     assert said.endswith(
         f" {found.tip_errors[7]['effects_missing']:.2f} mm if effects of typical size are missing. "
@@ -216,15 +215,15 @@ def test_without_a_sigma_the_scatter_of_the_calibration_stands_in() -> None:
     found, said = with_scatter(replace(arm, calibration=Calibration(lengths, provenance={"scatter_mm": 0.254})))
     assert found.sigma == 0.254
     assert "sigma_mm = 0.254, the scatter" in said
-    shown = advice_document(advise(problem(arm), [4]))
+    shown = advise(problem(arm), [4]).document()
     assert not any(isinstance(part, Sheet) and len(part.headings) != 2 for part in shown.parts)
 
 
 def test_a_bound_that_time_cut_is_said_to_be() -> None:
     advice = advise(FREE, range(4, 6))
-    assert BOUND_CUT not in advice_document(advice).parts
+    assert BOUND_CUT not in advice.document().parts
     cut = replace(advice, designs=tuple(replace(d, bound=replace(d.bound, cut=True)) for d in advice.designs))
-    assert BOUND_CUT in advice_document(cut).parts
+    assert BOUND_CUT in cut.document().parts
 
 
 def test_ctrl_c_in_the_search_for_a_plan_ends_the_rest_too(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -234,7 +233,7 @@ def test_ctrl_c_in_the_search_for_a_plan_ends_the_rest_too(monkeypatch: pytest.M
     monkeypatch.setattr("doe.advise.solve", stopped)
     advice = advise(FREE, range(4, 7))
     assert advice.runs == (4,)
-    assert Status.interrupted.value in advice_document(advice).parts
+    assert Status.interrupted.value in advice.document().parts
 
 
 # -- three answers -----------------------------------------------------------------------------------------------------

@@ -20,9 +20,9 @@ import pytest
 from click.testing import CliRunner
 
 from doe.cli import main
+from doe.design import Design
 from doe.plan.moves import route
 from doe.plan.spacing import separated
-from doe.report.design import design_document
 from identification import Plan
 from tests.doe.cli.conftest import Folder, without_progress
 from tests.doe.faults import COMMANDS, ROOT, Command, Reference, content, prepare, verdict
@@ -77,7 +77,7 @@ def test_a_search_that_is_stopped_answers_with_its_best(folder: Folder, monkeypa
     monkeypatch.setattr("doe.plan.moves.route", interrupted(route, 1))  # while it is ordered, too
     assert folder.said("design arm.toml --runs 5 --order travel --out ordered.csv")["travel_deg"]["order"] == "travel"
     assert folder.read("ordered.csv").count("\n") == 6
-    monkeypatch.setattr("doe.report.design.design_document", interrupted(design_document, 1))
+    monkeypatch.setattr(Design, "document", interrupted(Design.document, 1))
     folder.refused("design arm.toml --runs 5 --solver exchange --out other.csv", "nothing was written", code=1)
     assert not (folder.path / "other.csv").exists()
 

@@ -95,7 +95,7 @@ def test_chosen_postures_beat_random_ones() -> None:
     assert best.chance >= max(chances)
     assert best.chance <= sum(c.probability for c in found.candidates)  # perhaps none of them is right
     # named from half on
-    assert str(best).endswith(f"alone is left: at most {100.0 * best.chance:.0f} %, by a linear estimate")
+    assert best.document().verdict[0].endswith(f"left: at most {100.0 * best.chance:.0f} %, by a linear estimate")
 
 
 def ctrl_c() -> bool:

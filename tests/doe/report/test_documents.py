@@ -13,7 +13,6 @@ import pytest
 from doe import DesignProblem, score
 from doe.advise import advise
 from doe.bounds.column_generation import relax
-from doe.report.design import advice_document, design_document, relax_document
 from doe.report.page import origin, page
 from identification import Arm, Calibration, EffectSpec, Measurements, Model, diagnose, estimate
 from identification.compensate import compensate
@@ -44,9 +43,9 @@ def documents() -> Iterator[tuple[str, Document]]:
     fit = estimate(Model(ARM), data)
     diagnosis = diagnose(ARM, data, fresh)
     calibrated = diagnosis.extended_arm()
-    yield "design", design_document(score(problem, data.postures[:30]))
-    yield "advice", advice_document(advise(problem, [4, 5, 6], target=0.1, seconds=1.0))
-    yield "weights", relax_document(relax(problem, 5))
+    yield "design", score(problem, data.postures[:30]).document()
+    yield "advice", advise(problem, [4, 5, 6], target=0.1, seconds=1.0).document()
+    yield "weights", relax(problem, 5).document()
     yield "inspection", inspect(ARM, data).document()
     yield "identification", identification_document(fit, fit.to_json())
     yield "diagnosis", diagnosis.document()

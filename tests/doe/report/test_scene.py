@@ -16,9 +16,9 @@ import pytest
 from matplotlib.image import imread
 from scipy.spatial.transform import Rotation
 
-from doe.report.design import plan_section
 from doe.report.figures import WHOLE, error_arrows, scene, shape, simplified
 from doe.report.page import page
+from doe.report.plan import plan_section
 from identification import Arm, Calibration, Measurements, Model, Plan, design_model
 from identification.document import Document
 from identification.instruments import Distance

@@ -15,12 +15,13 @@ from mpl_toolkits.mplot3d import art3d
 from doe import DesignProblem, score
 from doe.bounds.certificate import Bound
 from doe.bounds.column_generation import relax
+from doe.design import Design
 from doe.discrimination.t_optimal import NextPostures
 from doe.plan.accuracy import missing_effects, robust_problem
-from doe.report.design import design_facts, design_verdict, next_document, plan_section, plan_steps, relax_document
 from doe.report.figures import outlines, plan_figure, scene, side
+from doe.report.plan import plan_section, plan_steps
 from identification import Arm, Conditions, Gravity, Model, Plan, design_model
-from identification.document import Document, Pictures
+from identification.document import Pictures
 from identification.workspace import Body, Cell, KeepOut, LineOfSight, WorkspaceBox
 from tests.doe.arms import problem
 from tests.doe.problem.test_spatial_constraints import ARM as CROWDED
@@ -37,11 +38,11 @@ def test_a_robust_plan_is_judged_by_millimetres() -> None:
     wide = robust_problem(plain, missing_effects(plain, ["gear_ratio"]))
     bound = Bound(-1.0, "grid", True, candidates=2000)
     design = score(wide, np.random.default_rng(3).uniform(-1.0, 1.0, (8, 3)), bound)
-    said = " ".join(str(Document(parts=[design_facts(design)])).split())
+    said = " ".join(str(design).split())
     assert re.search(r"efficiency 0.0\d+ of the bound \(the list of 2,000 postures, proven\)", said)
-    assert "RMS over the workspace or --test-poses, if fitted by armcal identify --library" in design_verdict(design)
+    assert "RMS over the workspace or --test-poses, if fitted by armcal identify --library" in design.verdict
     few = replace(design, problem=replace(wide, choices=design.plan.postures))
-    assert "RMS over the candidates" in design_verdict(few)
+    assert "RMS over the candidates" in few.verdict
     assert "value of I" not in said
     assert "upper bound" not in said
 
@@ -51,9 +52,9 @@ def test_a_plan_in_a_sentence() -> None:
         usual = {"efficiency": None, "certified_optimal": False, "expected_error": None, "bound": None}
         stated = SimpleNamespace(criterion=SimpleNamespace(name=criterion), choices=None, fit="")
         plan = Plan(np.zeros((20, 2)))
-        return design_verdict(
+        return Design.verdict.fget(  # type: ignore[attr-defined]
             SimpleNamespace(problem=stated, plan=plan, no_efficiency=no_efficiency, **(usual | values))
-        )  # type: ignore[arg-type]
+        )
 
     assert verdict(efficiency=0.98765) == "The plan of 20 runs has the efficiency 0.9877 (D)."
     assert verdict("D", "no bound is known") == "The plan of 20 runs has no efficiency: no bound is known (D)."
@@ -79,10 +80,10 @@ def test_rows_without_payload_are_completed_before_others_are_appended() -> None
         (None, None, False),
         (np.ones(1), np.ones(1), False),
     ):
-        result = NextPostures(Plan(np.zeros((1, 2)), conditions={"payload": payload}), 0.5, {})
         rows = SimpleNamespace(conditions=Conditions(payload=measured))
         diagnosis: Any = SimpleNamespace(sentence="Two fit.", arm=arm, measurements=rows)
-        shown = next_document(diagnosis, result).parts
+        result = NextPostures(Plan(np.zeros((1, 2)), conditions={"payload": payload}), 0.5, {}, diagnosis)
+        shown = result.document().parts
         assert [part for part in shown if "need a column payload_kg too: 7.5" in str(part)] == shown[2:]
         assert len(shown) == 2 + noted
 
@@ -135,9 +136,9 @@ def test_no_weight_is_printed_as_zero() -> None:
     """Column generation may leave a posture with a weight of rounding."""
     shares = np.array([0.5, 0.5 - 1e-9, 1e-9])
     weights = relax(DesignProblem.of(Model(Arm([300.0, 200.0]))), 5)
-    text = str(relax_document(replace(weights, plan=Plan(np.eye(3, 2), shares))))
+    text = str(replace(weights, plan=Plan(np.eye(3, 2), shares)))
     assert re.findall(r"^ *(0.5|1e-09) ", text, re.MULTILINE) == ["0.5", "0.5", "1e-09"]
-    assert "6e-05" in str(relax_document(replace(weights, largest=weights.largest + 6e-5)))  # and not 0.000
+    assert "6e-05" in str(replace(weights, largest=weights.largest + 6e-5))  # and not 0.000
 
 
 # -- pictures in space -------------------------------------------------------------------------------------------------
