@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import polars
@@ -84,11 +85,16 @@ def test_a_set_in_space() -> None:
 
 
 def test_an_ambiguous_set_is_measured_further(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At the next postures, from the sides that they are chosen for."""
+    choose, falling = blind.discriminate, -np.ones((2, 2))
     monkeypatch.setattr(blind, "FURTHER_RUNS", (2,))
+    monkeypatch.setattr(blind, "discriminate", lambda *them, **how: replace(choose(*them, **how), directions=falling))
+    monkeypatch.setattr(blind, "diagnose", diagnosed := Mock(wraps=blind.diagnose))
     row = blind.examine({"cell": blind.AMBIGUOUS, "sets": 1, "seed": 0, "first": 32}, np.random.SeedSequence(0))[0]
     assert row["verdict"] == "ambiguous"
     assert row["next_2_verdict"] in ("named", "ambiguous", "unknown")
     assert isinstance(row["next_2_named"], list)
+    np.testing.assert_array_equal(diagnosed.call_args.args[1].directions[-2:], -1.0)
 
 
 # -- bookkeeping -------------------------------------------------------------------------------------------------------
