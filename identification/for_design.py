@@ -63,7 +63,8 @@ class ArmModel(Model):
             if "orientation" in at:
                 tip = chain.frames(q, self.geometry)[-1]
                 conditions[at["orientation"]] = ca.vec(chain.measured(tip, self.geometry, ca.SX(point)).axes.T)
-            each.append(self.expressions.position_function(q, conditions, p))
+            *symbols, position = self.symbols
+            each += ca.substitute([position], symbols, [q, conditions, p])
         return ca.vertcat(*each)
 
     # -- what constraints need -------------------------------------------------------------------------------------

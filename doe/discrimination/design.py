@@ -42,6 +42,7 @@ MOST_SEEN = 10_000  # postures; memory: of more, the columns of all effects take
 CLOUD = 512  # effort: postures
 # length on random postures; any plan tells much larger effects apart, none much smaller ones
 LAMBDA = 8.0
+LOSS = 0.05  # convention: share of the D-efficiency that may be given up
 
 
 @dataclass(frozen=True)
@@ -234,23 +235,20 @@ def discrimination_design(
     effects: Arm | EffectLibrary,
     runs: int,
     *,
-    loss: float = 0.05,
     solver: Solver | str | None = None,
     seed: int = 0,
     starts: int | None = None,
     seconds: float | None = None,
     progress: Progress = Progress(),
 ) -> Discrimination:
-    """The plan of `runs` measurements that shows missing effects best, at a D-efficiency within `loss` of the best.
+    """The plan of `runs` measurements that shows missing effects best, at a D-efficiency within `LOSS` of the best.
 
     effects : which may be missing: those of the library that this arm can have, or others
-    loss : fraction 0..1 of the D-efficiency that may be given up
     solver, starts : of the search for the best plan, as in `solve`
     seconds : for both searches together, half of it for the best plan; left out: none up to 100 runs, 60 s for more
-    Raises `InputError` for a loss outside 0..1, a criterion other than D, and too few runs (4 residual degrees of
-    freedom are needed). Ctrl-C returns the plan so far, status `interrupted`.
+    Raises `InputError` for a criterion other than D, and too few runs (4 residual degrees of freedom are needed).
+    Ctrl-C returns the plan so far, status `interrupted`.
     """
-    require(0.0 <= loss < 1.0, f"loss: {loss}, allowed: 0 <= loss < 1")
     require(problem.criterion.name == "D", f"criterion: {problem.criterion.name} for a discriminating plan, allowed: D")
     began = perf_counter()
     library = effects if isinstance(effects, EffectLibrary) else EffectLibrary.of(effects)
@@ -263,7 +261,7 @@ def discrimination_design(
     generator, state = np.random.default_rng(seed), Swaps(problem, library)
     chosen, status = np.array(best.plan.postures), best.status
     if status is not Status.interrupted:
-        allowed = problem.parameters * float(-np.log1p(-loss))
+        allowed = problem.parameters * float(-np.log1p(-LOSS))
         try:
             for postures in state.improved(chosen, best.value - allowed, generator, budget, progress):
                 chosen = postures

@@ -121,8 +121,9 @@ of_joint(
 
 
 def _coupling(self: Effect) -> list[Number]:
-    """Typical: as of `gear_ratio`: what a controller leaves of a coupling."""
-    (moved, many), (by, before) = (at_joint(self.chain, self.joint_index + k, "rad") for k in (1, 0))
+    """In the units of this joint and the one before."""
+    by, before = at_joint(self.chain, self.joint_index, "rad")
+    moved, many = at_joint(self.chain, self.joint_index + 1, "rad")
     return [Number("c", "1" if moved == by else f"{moved}/{by}", 1e-4 * many / before, LEVER)]
 
 

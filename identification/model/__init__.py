@@ -199,13 +199,8 @@ class Model:
         return ca.Function("model", [*self.symbols[:3], *more], ca.cse(outputs))
 
     @cached_property
-    def position_function(self) -> ca.Function:
-        """CasADi (q, c, p) -> position (d) [mm]."""
-        return self._function([self.symbols[3]])
-
-    @cached_property
     def _position(self) -> Evaluate:
-        return vectorize(self.position_function)
+        return vectorize(self._function([self.symbols[3]]))
 
     @cached_property
     def _jacobian(self) -> Evaluate:

@@ -137,9 +137,8 @@ def gravity(payload: float = 0.0) -> Gravity:
 
 
 def calibration(error: float = 0.3) -> Calibration:
-    return Calibration.of(
-        [error, 0.1], [0.01, 0.02], {"base_offset.x": 1.0}, ("length_error:1",), [[0.5]], {"by": ["me"]}
-    )
+    others = {"parameter_names": ("length_error:1",), "covariance": [[0.5]], "provenance": {"by": ["me"]}}
+    return Calibration.of([error, 0.1], [0.01, 0.02], {"base_offset.x": 1.0}, **others)
 
 
 def arm(lower: float = -2.0) -> Arm:

@@ -66,7 +66,7 @@ def test_without_limits_everything_is_seen_and_nothing_looks_like_another() -> N
 
 def test_joint_limits_cost_at_most_the_loss_and_effects_become_visible() -> None:
     lower, upper = [-180, -120, -100, -90], [180, 120, 60, 90]
-    found = designed(lower, upper, 16, loss=0.05)  # twice the factorial of eight: the best plan needs no search
+    found = designed(lower, upper, 16)  # twice the factorial of eight: the best plan needs no search
     bound = 4 * np.log(np.sin(np.radians(80.0)))  # closed form, doe/README.md, "Planar theorem"
     postures, best = found.design.plan.postures, complex_log_det(found.best.plan.postures)
     assert np.all(postures >= np.radians(lower))
@@ -157,9 +157,9 @@ def test_out_of_a_list_of_postures_only_those() -> None:
 def test_the_best_of_all_plans_of_a_small_list() -> None:
     arm = Arm(LENGTHS[:3], np.radians([-180, -120, -100]), np.radians([180, 120, 60]), sigma=0.1)
     choices = np.random.default_rng(2).uniform(arm.lower, arm.upper, (10, 3))
-    problem, loss = DesignProblem.of(Model(arm), choices=choices), 0.06
-    found, state = discrimination_design(problem, arm, 8, loss=loss), Swaps(problem, EffectLibrary.of(arm))
-    least = found.best.value + problem.parameters * np.log1p(-loss)
+    problem = DesignProblem.of(Model(arm), choices=choices)
+    found, state = discrimination_design(problem, arm, 8), Swaps(problem, EffectLibrary.of(arm))
+    least = found.best.value + problem.parameters * np.log1p(-0.05)
     plans = [choices[list(rows)] for rows in combinations(range(10), 8)]
     allowed = [plan for plan in plans if problem.objective(plan) >= least - 1e-12]
     assert 1 < len(allowed) < len(plans)
@@ -178,7 +178,8 @@ def test_the_time_budget_holds_between_swaps(monkeypatch: pytest.MonkeyPatch) ->
 
     for module in ("doe.solvers.solving", "doe.solvers.solver", "doe.discrimination.design"):
         monkeypatch.setattr(f"{module}.perf_counter", clock)
-    found = discrimination_design(DesignProblem.of(Model(FOUR)), FOUR, 42, loss=0.2, seconds=1.0)
+    monkeypatch.setattr(design, "LOSS", 0.2)
+    found = discrimination_design(DesignProblem.of(Model(FOUR)), FOUR, 42, seconds=1.0)
     assert found.design.status is Status.time_limit
     assert looks <= 210
     assert found.relative_efficiency >= 0.8

@@ -127,7 +127,7 @@ def test_a_link_does_not_lead_out(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("mesh", "said"),
     [
-        (MESH.replace("NAME", "part.stl"), r"part.stl: body part is 2e\+06 mm long .* like millimetres as metres"),
+        (MESH.replace("NAME", "part.stl"), "part.stl: body part is 2e+06 mm long .* like millimetres as metres"),
         ('<mesh filename="part.stl" scale="1e-9 1e-9 1e-9"/>', "like metres as millimetres"),
         ('<mesh filename="part.stl" scale="1 1"/>', "link 'part': collision scale has '1 1', allowed: 3 numbers"),
         ("<mesh/>", "link 'part': collision of a mesh without filename"),
@@ -141,9 +141,7 @@ def test_a_link_does_not_lead_out(tmp_path: Path) -> None:
 def test_bad_collisions_get_one_line_when_they_are_asked_for(tmp_path: Path, mesh: str, said: str) -> None:
     (tmp_path / "part.stl").write_bytes(binary(1000.0 * FACES))
     arm = arm_of(tmp_path, mesh)
-    with pytest.raises(InputError, match=said) as caught:
-        bodies(arm)
-    assert "\n" not in str(caught.value)
+    refused(bodies, arm, names=said.split(".*"))
 
 
 def test_bodies_of_the_urdf_file_can_be_left_out(tmp_path: Path) -> None:

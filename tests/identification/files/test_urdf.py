@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from identification import Array, InputError
+from identification import Array
 from identification.files.urdf import read_urdf
 from identification.kinematics.frames import from_roll_pitch_yaw, pose
+from tests.refusals import refused
 
 URDF = Path(__file__).parents[2] / "data" / "spatial" / "six_axis.urdf"
 ENDS = ("world", "tool0")
@@ -76,22 +77,22 @@ def test_blank_lines_and_comments_stay(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "found"),
     [
-        ("<?xml", "<!DOCTYPE robot [<!ENTITY a 'b'>]><?xml", r"found <!DOCTYPE, allowed: XML without document types"),
-        ("</robot>", "", r"not XML: no element found.*allowed: a URDF file"),
-        ('name="lift" type="revolute"', 'name="lift" type="floating"', r"'lift' of the chain is of type 'floating'"),
-        ('<axis xyz="1 0 0"/>', '<axis xyz="1 0 0"/><mimic joint="pan"/>', r"'roll' of the chain mimics another"),
-        ('<axis xyz="0 1 0"/>\n    <limit', '<axis xyz="0 0 0"/>\n    <limit', r"axis 0 0 0, allowed: a direction"),
-        ('lower="-0.4" ', "", r"'slide': limit, lower or upper is missing, allowed: both for a prismatic joint"),
-        ('lower="-2.8"', 'lower="2.9"', r"'elbow': limits 2.9 to 2.8, allowed: lower < upper"),
-        ('xyz="0 0 0.12"', 'xyz="0 0 nan"', r"'slide': origin xyz has '0 0 nan', allowed: 3 numbers"),
-        ('xyz="0 0 0.12"', 'xyz="0 0.12"', r"'slide': origin xyz has '0 0.12', allowed: 3 numbers"),
-        ('<child link="hand"/>', '<child link="wrist"/>', r"link 'wrist' hangs on two joints, allowed: one"),
-        ('name="roll"', 'name="lift"', r"joint 'lift' is there 2 times, allowed: once"),
-        ('<parent link="wrist"/>', "", r"joint 'roll' has no parent link, allowed: one"),
-        ('<parent link="wrist"/>', '<parent link="tool0"/>', r"link 'tool0' is not below 'world', allowed: a tip"),
-        (URDF.read_text(), '<robot name="x"/>', r"bad.urdf: there is no <link>, allowed: at least 1"),
-        ('name="tool0"', 'name="tool"', r"there is no link 'tool0', did you mean 'tool'"),
-        ('<link name="hand"', '<link name="arm"', r"there is no link 'hand', allowed: arm, base_link"),
+        ("<?xml", "<!DOCTYPE robot [<!ENTITY a 'b'>]><?xml", "found <!DOCTYPE, allowed: XML without document types"),
+        ("</robot>", "", "not XML: no element found.*allowed: a URDF file"),
+        ('name="lift" type="revolute"', 'name="lift" type="floating"', "'lift' of the chain is of type 'floating'"),
+        ('<axis xyz="1 0 0"/>', '<axis xyz="1 0 0"/><mimic joint="pan"/>', "'roll' of the chain mimics another"),
+        ('<axis xyz="0 1 0"/>\n    <limit', '<axis xyz="0 0 0"/>\n    <limit', "axis 0 0 0, allowed: a direction"),
+        ('lower="-0.4" ', "", "'slide': limit, lower or upper is missing, allowed: both for a prismatic joint"),
+        ('lower="-2.8"', 'lower="2.9"', "'elbow': limits 2.9 to 2.8, allowed: lower < upper"),
+        ('xyz="0 0 0.12"', 'xyz="0 0 nan"', "'slide': origin xyz has '0 0 nan', allowed: 3 numbers"),
+        ('xyz="0 0 0.12"', 'xyz="0 0.12"', "'slide': origin xyz has '0 0.12', allowed: 3 numbers"),
+        ('<child link="hand"/>', '<child link="wrist"/>', "link 'wrist' hangs on two joints, allowed: one"),
+        ('name="roll"', 'name="lift"', "joint 'lift' is there 2 times, allowed: once"),
+        ('<parent link="wrist"/>', "", "joint 'roll' has no parent link, allowed: one"),
+        ('<parent link="wrist"/>', '<parent link="tool0"/>', "link 'tool0' is not below 'world', allowed: a tip"),
+        (URDF.read_text(), '<robot name="x"/>', "bad.urdf: there is no <link>, allowed: at least 1"),
+        ('name="tool0"', 'name="tool"', "there is no link 'tool0', did you mean 'tool'"),
+        ('<link name="hand"', '<link name="arm"', "there is no link 'hand', allowed: arm, base_link"),
     ],
 )
 def test_bad_files_are_one_line(tmp_path: Path, old: str, new: str, found: str) -> None:
@@ -99,7 +100,5 @@ def test_bad_files_are_one_line(tmp_path: Path, old: str, new: str, found: str) 
     assert old in text
     path = tmp_path / "bad.urdf"
     path.write_text(text.replace(old, new, 1))
-    with pytest.raises(InputError, match=found) as error:
-        read_urdf(path).chain(*ENDS)
-    assert str(error.value).startswith(f"{path}: ")
-    assert "\n" not in str(error.value)
+    message = refused(lambda: read_urdf(path).chain(*ENDS), names=found.split(".*"))
+    assert message.startswith(f"{path}: ")
