@@ -16,7 +16,7 @@ import numpy as np
 from doe.bounds.certificate import Bound
 from doe.problem.model import offered, offers
 from doe.problem.problem import DesignProblem
-from identification import Array, require
+from identification import Array
 
 
 def applies(problem: DesignProblem) -> bool:
@@ -27,19 +27,15 @@ def applies(problem: DesignProblem) -> bool:
     return offers(problem.model, "theorem_joints") and problem.criterion.name == "D" and problem.prior.empty
 
 
-def closed_form_log_det(problem: DesignProblem) -> float:
-    """Largest log det M' of any design within the joint limits. Raises `InputError` where `applies` is False."""
-    allowed = "D with lengths, offsets and base_offset"
-    require(applies(problem), f"closed form: this model or criterion has none, allowed: {allowed}")
-    joints = list(offered(problem.model, "theorem_joints", "closed form"))
-    return float(4.0 * np.sum(np.log(np.sin(np.minimum(problem.upper[joints] - problem.lower[joints], np.pi) / 2.0))))
-
-
 def closed_form_bound(problem: DesignProblem) -> Bound | None:
-    """The theorem as a bound, None where it does not apply."""
+    """The theorem as a bound: the largest log det M' of any design within the joint limits; None where it does not
+    apply."""
     if not applies(problem):
         return None
-    return Bound(closed_form_log_det(problem), "closed_form", True, unconstrained=bool(problem.constraints))
+    joints = list(offered(problem.model, "theorem_joints", "closed form"))
+    ranges = np.minimum(problem.upper[joints] - problem.lower[joints], np.pi)
+    value = float(4.0 * np.sum(np.log(np.sin(ranges / 2.0))))
+    return Bound(value, "closed_form", True, unconstrained=bool(problem.constraints))
 
 
 def pair_means(postures: Array, weights: Array | None = None) -> dict[str, complex]:

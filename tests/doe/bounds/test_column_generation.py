@@ -24,7 +24,7 @@ from doe.bounds.column_generation import (
     generate_columns,
     relax,
 )
-from doe.bounds.planar_theorem import closed_form_log_det
+from doe.bounds.planar_theorem import closed_form_bound
 from doe.criteria import A, Criterion, D, Ds, E, I
 from doe.problem.postures import grid, listed_candidates, random_postures
 from doe.problem.problem import PriorInformation
@@ -40,7 +40,7 @@ from tests.doe.problem.test_constraints import BOX
 def test_continuous_box_equals_the_closed_form(links: int) -> None:
     # the base is a link 0 with orientation 0: joint 1 counts as the others do
     case = problem(random_box(np.random.default_rng(links), links), *[OFFSET] * (links % 2))
-    design, expected = continuous_design(case), closed_form_log_det(case)
+    design, expected = continuous_design(case), closed_form_bound(case).value
     assert design.log_det == pytest.approx(expected, abs=1e-9)
     assert design.bound.rigorous
     assert design.bound.source == "continuous"
@@ -99,7 +99,7 @@ def test_what_the_multistart_misses_the_proof_finds(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(module.ContinuousSet, "starts", starts)
     monkeypatch.setattr(module.ContinuousSet, "best", blind)
     design = continuous_design(case, tolerance=1e-8)
-    expected = closed_form_log_det(case)
+    expected = closed_form_bound(case).value
     if design.bound is None:  # it may give up, but it must not claim
         assert design.status is Status.almost_solved
     else:

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from doe import DesignProblem
-from doe.bounds.planar_theorem import closed_form_log_det
+from doe.bounds.planar_theorem import closed_form_bound
 from doe.solvers import solve
 from identification import Arm, EffectSpec, JobError, Status
 from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, OFFSET, SIX, problem, random_box
@@ -34,7 +34,7 @@ def check(arm: Arm, runs: int, *effects: EffectSpec) -> None:
     design = solve(case, runs)
     postures = design.plan.postures
     assert (design.solver, design.status, len(postures)) == ("analytic", Status.bound_reached, runs)
-    assert complex_log_det(postures, offset=bool(effects)) == pytest.approx(closed_form_log_det(case), abs=1e-9)
+    assert complex_log_det(postures, offset=bool(effects)) == pytest.approx(closed_form_bound(case).value, abs=1e-9)
     assert np.all(postures >= arm.lower)
     assert np.all(postures <= arm.upper)
     assert smallest_gap(postures) >= np.radians(1.0) * (1 - 1e-9)
@@ -68,7 +68,7 @@ def test_other_numbers_of_many_runs_begin_from_theory() -> None:
     M' of 361 runs is at least 360/361 of that of 360: log det is lower by 8 log(361/360) at most.
     """
     design = solve(problem(FOUR), 361, seconds=0.3)
-    assert complex_log_det(design.plan.postures) >= closed_form_log_det(problem(FOUR)) - 8.0 * np.log(361 / 360)
+    assert complex_log_det(design.plan.postures) >= closed_form_bound(problem(FOUR)).value - 8.0 * np.log(361 / 360)
     assert smallest_gap(design.plan.postures) >= np.radians(1.0) * (1 - 1e-9)
 
 
