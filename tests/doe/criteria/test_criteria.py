@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from doe import D, DesignProblem
 from doe.bounds.certificate import ApproximateDesign
-from doe.criteria import A, Criterion, Ds, DStar, E, I, PowerMean, information_matrix, inverses, log_determinants
+from doe.criteria import NAMES, A, Criterion, Ds, DStar, E, I, PowerMean, information_matrix, inverses, log_determinants
 from identification import Arm, Model, Plan, spectrum
 
 P = 6
@@ -47,6 +47,7 @@ def test_formulas() -> None:
         "mean 8": np.mean(np.linalg.eigvalsh(information) ** -8.0) ** (-1 / 8),
         "mean 32": np.mean(np.linalg.eigvalsh(information) ** -32.0) ** (-1 / 32),
     }
+    assert {phi.name for phi in ALL.values()} == {*NAMES, PowerMean.name}
     for name, phi in ALL.items():
         assert float(phi.value(information)) == pytest.approx(expected[name]), name
 

@@ -13,11 +13,13 @@ import pytest
 from doe import DesignProblem, score
 from doe.advise import advise
 from doe.bounds.column_generation import relax
+from doe.discrimination.design import discrimination_design
+from doe.discrimination.t_optimal import NextPostures
 from doe.report.page import origin, page
-from identification import Arm, Calibration, EffectSpec, Measurements, Model, diagnose, estimate
+from identification import Arm, Calibration, EffectSpec, Measurements, Model, Plan, detectability, diagnose, estimate
 from identification.compensate import compensate
-from identification.document import Document, Part, Section, Sheet
-from identification.documents.identification import entry_document, identification_document, library_document
+from identification.document import Document, Documented, Part, Section, Sheet
+from identification.documents.identification import entry_document, library_document
 from identification.effects import entry
 from identification.inspection.inspection import inspect
 from identification.validate import validate
@@ -37,33 +39,32 @@ def measured(rows: int, seed: int) -> Measurements:
     return Measurements(q, Model(REAL).position(q) + generator.normal(0.0, 0.05, (rows, 2)))
 
 
-def documents() -> Iterator[tuple[str, Document]]:
-    """Of every kind of result one."""
+def results() -> Iterator[Documented]:
+    """One of every kind."""
     problem, data, fresh = DesignProblem.of(Model(ARM)), measured(40, 1), measured(20, 2)
-    fit = estimate(Model(ARM), data)
     diagnosis = diagnose(ARM, data, fresh)
     calibrated = diagnosis.extended_arm()
-    yield "design", score(problem, data.postures[:30]).document()
-    yield "advice", advise(problem, [4, 5, 6], target=0.1, seconds=1.0).document()
-    yield "weights", relax(problem, 5).document()
-    yield "inspection", inspect(ARM, data).document()
-    yield "identification", identification_document(fit, fit.to_json())
-    yield "diagnosis", diagnosis.document()
-    yield "validation", validate(calibrated, fresh).document()
-    yield "commands", compensate(calibrated, fresh.positions).document()
-    yield "library", library_document([entry("backlash"), entry("outliers")])
-    yield "effect", entry_document(entry("joint_compliance"))
+    yield from (score(problem, data.postures[:30]), relax(problem, 5), detectability(ARM, data.postures))
+    yield advise(problem, [4, 5, 6], target=0.1, seconds=1.0)
+    yield discrimination_design(problem, ARM, 8, starts=1, seconds=0.1)
+    yield from (inspect(ARM, data), estimate(Model(ARM), data), diagnosis)
+    yield NextPostures(Plan(data.postures[:2]), 0.5, {}, diagnosis)
+    yield from (validate(calibrated, fresh), compensate(calibrated, fresh.positions))
+
+
+def kinds(cls: type) -> list[type]:
+    """Those below it that nothing is below."""
+    return [one for each in cls.__subclasses__() for one in kinds(each)] or [cls]
 
 
 @pytest.fixture(scope="module")
 def every() -> dict[str, Document]:
-    return dict(documents())
+    library = library_document([entry("backlash"), entry("outliers")])
+    effect = entry_document(entry("joint_compliance"))
+    return {type(one).__name__: one.document() for one in results()} | {"library": library, "effect": effect}
 
 
-NAMES = (
-    *("design", "advice", "weights", "inspection", "identification", "diagnosis", "validation"),
-    *("commands", "library", "effect"),
-)
+NAMES = (*(kind.__name__ for kind in kinds(Documented)), "library", "effect")
 
 
 def words(text: str) -> str:
@@ -96,7 +97,7 @@ def test_a_result_is_whole_in_every_rendering(every: dict[str, Document], name: 
     (tmp_path / "data.csv").write_text("q1_deg\n")
     parts = [Section("All", document.parts), origin("armcal test", 3, [tmp_path / "data.csv"])]
     text = page(replace(document, parts=parts))
-    assert len(document.verdict) > 0 or name in ("weights", "library")
+    assert len(document.verdict) > 0 or name in ("ApproximateDesign", "Detectability", "library")
     for rendered, folded in ((terminal, False), (words(notebook), True), (words(text), True)):
         shown = flat(rendered)
         for sentence in (*document.warnings, *document.verdict, *(action.command for action in document.actions)):

@@ -51,6 +51,7 @@ FILES = {
     "rows": f"{BY_TABLE}{PLACED}",
     "probe": f"{BY_TABLE}{PLANE}",
     "ball": f'{BY_TABLE}[instrument]\nkind = "sphere"\nradius_mm = 10.0\n',
+    "cups": f'{BY_TABLE}[instrument]\nkind = "socket"\ndistances_mm = [["A", "B", 9]]\ncups = {{A = [1, 2, 3]}}\n',
 }
 
 
