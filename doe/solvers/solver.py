@@ -49,8 +49,6 @@ class Budget:
         self.tell()
         return perf_counter() >= self.deadline
 
-    out_of_time = property(ended)
-
     def used(self, starts: int) -> float:
         """Starts used, or the fraction of the time limit used times the number of starts, whichever is more."""
         limit = max(self.deadline - self.began, 1e-9)
@@ -65,7 +63,7 @@ class Budget:
 class Solver(Protocol):
     """Settings, a name, and one method that offers plans, better and better or not; `solve` keeps the best.
 
-    A solver need not clip, certify, count or watch for Ctrl-C. It should look at `budget.out_of_time` between steps of
+    A solver need not clip, certify, count or watch for Ctrl-C. It should look at `budget.ended()` between steps of
     more than a few milliseconds, and yield whenever it has a plan that may be the best. It must be deterministic given
     the generator, as long as the time limit does not bind.
     """

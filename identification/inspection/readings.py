@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import accumulate, combinations, pairwise
 from typing import Any
 
@@ -90,6 +90,10 @@ class Reading:
     def with_quarters(self, joint: int, k: float) -> Reading:
         """With so many quarter turns added to a joint, from 0."""
         return replace(self, quarters=(*self.quarters[:joint], k, *self.quarters[joint + 1 :]))
+
+    def with_scale(self, logarithm: float) -> Reading:
+        """With lengths that are e to this times those of the file."""
+        return replace(self, scaled=float(np.exp(logarithm)))
 
     def postures(self, columns: Array) -> Array:
         """(m, n) what the arm's joints are, of columns (m, n) in the right units."""
@@ -229,25 +233,24 @@ def read_differently(arm: Arm, measurements: Measurements, *, search: bool = Tru
     drawn = {k: max(_spread(points), np.finfo(float).tiny) for k, points in zip(turns, tips, strict=True)}
     spread, readings = 0.0 if chain.instrument.contact else _spread(x), []
 
-    def least(of: Callable[[float], float], values: Array, tolerance: float) -> float:
-        """Where a function is least near the best of these values."""
+    def least(read: Callable[[float], Reading], values: Array, tolerance: float) -> float:
+        """Where a reading leaves least, near the best of these values."""
         from scipy.optimize import minimize_scalar  # 0.06 s to import
 
-        near, step = min(values, key=of), values[1] - values[0]
-        return float(minimize_scalar(of, bounds=(near - step, near + step), options={"xatol": tolerance}).x)
+        def left(k: float) -> float:
+            return placed(read(k)).rms
+
+        near, step = min(values, key=left), values[1] - values[0]
+        return float(minimize_scalar(left, bounds=(near - step, near + step), options={"xatol": tolerance}).x)
 
     for other in (replace(written, turned=k) for k in turns):
         readings.append(other)
         # lengths some times those of the other file: no drawing is wrong by half or twice the size; what repeats of one
         # posture scatter by has no ratio to it
         if spread and not 0.5 < (ratio := drawn[other.turned] / spread) < 2.0:
-
-            def left_at(k: float, other: Reading = other) -> float:
-                return placed(replace(other, scaled=float(np.exp(k)))).rms
-
             two = np.log(2.0)  # a point far from the tip adds to the spread of positions
-            k = least(left_at, np.log(ratio) + two * np.arange(-3, 4), 1e-4)
-            readings += [replace(other, scaled=float(np.exp(k)))] if abs(k) > two else []
+            k = least(other.with_scale, np.log(ratio) + two * np.arange(-3, 4), 1e-4)
+            readings += [other.with_scale(k)] if abs(k) > two else []
     if len(readings) > 1 and max(drawn.values()) >= 1e-3 * arm.reach:
         share = {reading: placed(reading).rms / drawn[reading.turned] for reading in readings}
         best = min(share, key=share.__getitem__)
@@ -266,11 +269,8 @@ def read_differently(arm: Arm, measurements: Measurements, *, search: bool = Tru
     def moved_zero(best: Reading) -> Iterator[Reading]:
         """The zero of one turning joint where it explains the positions best; near whole quarter turns these."""
         for j in turning:
-
-            def left_with(k: float, j: int = j) -> float:
-                return placed(best.with_quarters(j, k)).rms
-
-            k = least(left_with, np.arange(0.0, 4.0, 0.25), 1e-3)  # one start is near enough to the best
+            # one start is near enough to the best
+            k = least(partial(best.with_quarters, j), np.arange(0.0, 4.0, 0.25), 1e-3)
             yield best.with_quarters(j, round(k) % 4 if abs(k - round(k)) < 0.02 else k)  # whole within 2 deg
 
     def flips(best: Reading) -> Iterator[Reading]:
