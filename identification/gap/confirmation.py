@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri, softmax, stdtrit
+from scipy.special import chdtrc, ndtri, softmax, stdtrit
 
 from identification.arm import Calibration
 from identification.arrays import Array
@@ -47,6 +47,7 @@ class Confirmation:
     before_mm, after_mm : RMS distance of base and tested model in these rows;  predicted_mm : expected `after_mm`
     max_before_mm, max_after_mm : distances of the row that is farthest off
     refitted : what was fitted to these rows first, since they are of another set-up: `base`, `reflector C`
+    beyond_sigma : whether in held-out rows more is left than the given sigma explains, at `LEVEL`
     """
 
     transfer: str
@@ -64,6 +65,7 @@ class Confirmation:
     max_before_mm: float
     max_after_mm: float
     refitted: tuple[str, ...]
+    beyond_sigma: bool = False
 
     @property
     def confirmed(self) -> bool | None:
@@ -249,7 +251,15 @@ class HeldOut:
         predicted = Mean(scale * left.value + added.value, scale**2 * left.variance + added.variance, left.freedom)
         sigma = float(np.sqrt(scale * left.value / after.shape[1]))
         file, groups = self.rows.provenance.get("file") if self.transfer == SESSION else None, groups_of(self.rows)
-        return confirm(before, after, predicted, sigma, groups, self.transfer, "holdout", LEVEL, named, file, refitted)
+        test = confirm(before, after, predicted, sigma, groups, self.transfer, "holdout", LEVEL, named, file, refitted)
+        if (given := model.model.arm.sigma if self.rows.sigma is None else self.rows.sigma) is None:
+            return test
+        # noise of this sigma, and the parameters' errors: scaled chi-square (F. E. Satterthwaite, 1946)
+        m, noise = len(after), np.square(given)
+        expected = after.shape[1] * float(np.mean(noise)) + added.value
+        variance = (2.0 * after.shape[1] * float(np.mean(noise**2)) + 4.0 * float(np.mean(noise)) * added.value) / m
+        freedom = 2.0 * expected**2 / (variance + added.variance)
+        return replace(test, beyond_sigma=bool(chdtrc(freedom, freedom * test.after_mm**2 / expected) <= LEVEL))
 
 
 # -- each part of the rows predicted from the others -------------------------------------------------------------------

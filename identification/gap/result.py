@@ -313,9 +313,10 @@ class Diagnosis(Documented):
     @property
     def confirmed(self) -> bool | None:
         """Whether the hold-out confirms the verdict; None without one, if it has too few rows, or if what is left of
-        the data is more than the given sigma explains: then more is missing than was found."""
-        answer = None if self.confirmation is None else self.confirmation.confirmed
-        return None if answer and self.misfit is not None and self.misfit.significant else answer
+        the data or of the hold-out is more than the given sigma explains: then more is missing than was found."""
+        if (test := self.confirmation) is None or not test.confirmed:
+            return None if test is None else test.confirmed
+        return None if test.beyond_sigma or (self.misfit is not None and self.misfit.significant) else True
 
     def extended_arm(self, candidate: Candidate | None = None, in_sessions: bool = False) -> Arm:
         """The arm with the effects of the predicting model (or of `candidate`) added, calibrated by it: all estimates,

@@ -12,9 +12,10 @@ from scipy.spatial.transform import Rotation
 from identification import Arm, Measurements, Model
 from identification.documents.diagnosis import holds_in_words
 from identification.estimation.uncertainty import GROUPS, Mean, groups_of, mean_of
+from identification.gap.average import geometry
 from identification.gap.blocks import hypotheses
 from identification.gap.confirmation import Confirmation, HeldOut, confirm, predicted_from_others
-from identification.gap.fit import Fitted, Rows
+from identification.gap.fit import Fitted, Rows, fit
 from identification.gap.search import posterior_of
 from identification.kinematics.chain import KinematicChain
 from identification.validate import placed
@@ -222,6 +223,22 @@ def test_residuals_do_not_shrink_by_what_is_fitted() -> None:
     means = [float(np.mean(left_again(set_up(seed, "A", CELL, 24), CELL)[0] ** 2)) for seed in range(40)]
     error = NOISE**2 * np.sqrt(2.0 / (72 - 12) / 40)
     assert np.mean(means) == pytest.approx(NOISE**2, abs=3.0 * error)
+
+
+def test_held_out_rows_are_tested_against_the_given_sigma() -> None:
+    """Twelve rows determine four parameters with errors that add a sixth to the square of the noise: at 5 %, of 200
+    sets, fail beyond 0.05 + 3 standard errors (a third without that sixth); noise of 1.6 sigma is always seen."""
+    arm, significant = Arm([200.0, 100.0], sigma=SIGMA), list[bool]()
+    for seed in range(220):
+        scatter, rng = 1.0 if seed < 200 else 1.6, np.random.default_rng(seed)
+        q, noise = rng.uniform(-3.0, 3.0, (162, 2)), SIGMA * rng.normal(size=(162, 2))
+        p = Model(arm).position(q) + np.concatenate([noise[:12], scatter * noise[12:]])
+        data, fresh = Measurements(q[:12], p[:12]), Measurements(q[12:], p[12:])
+        base = fit(Model(arm), Rows.of(data))
+        test = HeldOut.of(fresh, data).test(base, geometry(base), data, np.ones(12, dtype=bool), False, 1.0)
+        significant.append(test.beyond_sigma)
+    assert all(significant[200:])
+    assert np.mean(significant[:200]) < 0.05 + 3.0 * np.sqrt(0.05 * 0.95 / 200)
 
 
 def test_points_have_the_numbers_of_the_data() -> None:
