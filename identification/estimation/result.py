@@ -465,9 +465,9 @@ def _tables(chain: KinematicChain, values: Values) -> dict[tuple[str, str], floa
 # -- the table of Denavit and Hartenberg -------------------------------------------------------------------------------
 def dh_table(arm: Arm) -> tuple[tuple[CorrectedValue, ...], list[tuple[str, Array]]]:
     """Nominal and corrected numbers of the links between the axes of a calibrated arm, without those drawn by
-    definition; and beside them the pose of the base (4, 4), and places (3,) of the measured points for the last frame
-    of the table, by name: with these the table says what the calibration does. Empty without a table that `drawn_links`
-    takes, and without a covariance. In the modified convention a and alpha stand in the row of the next joint.
+    definition; and beside them the pose of the base (4, 4), and by name those of the measured frames, places (3,) of
+    points, for the last frame of the table: with these it says what the calibration does. Empty without a table that
+    `drawn_links` takes, and without a covariance. In the modified convention a and alpha are of the next row.
     """
     calibration, model, drawn = arm.calibration, Model(arm), tuple[Link, ...]()
     with suppress(InputError):
@@ -500,7 +500,8 @@ def dh_table(arm: Arm) -> tuple[tuple[CorrectedValue, ...], list[tuple[str, Arra
     real = corrected(arm.chain, values)
     (_, first, last), (_, drawn_first, drawn_last) = (corrected_links(chain, drawn) for chain in (real, arm.chain))
     behind = np.linalg.inv(drawn_last) @ last
-    tools = [(f"tool {name}", (behind @ at)[:3, 3]) for name, at in real.tools.items()]
+    measured = slice(None) if real.angle_scale is not None else (slice(3), 3)
+    tools = [(f"tool {name}", (behind @ at)[measured]) for name, at in real.tools.items()]
     return tuple(listed), [("base", real.base @ first @ np.linalg.inv(drawn_first)), *tools]
 
 
@@ -510,6 +511,6 @@ def dh_lines(arm: Arm, values: Sequence[CorrectedValue]) -> tuple[tuple[Correcte
     (rows, places), lines, own = dh_table(arm), list[str](), {p.name for p in arm.chain.instrument.parameters}
     for name, at in places:
         figures = (pose_table(at) if at.ndim == 2 else point_table(at)).items()
-        lines.append(f"{name}: " + ", ".join(f"{key.replace('_', ' [')}] {value:z.3f}" for key, value in figures))
+        lines.append(f"{name}: " + ", ".join(f"{key.replace('_', ' [')}] {value:z.5f}" for key, value in figures))
     touched = [f"{v.name} [{v.unit}]: {v.corrected:z.3f} +- {v.std:.3f}" for v in values if v.parameter in own]
     return rows, [*lines, *touched] if rows else []
