@@ -130,7 +130,7 @@ def identification_document(fit: Identification, data: Data | None = None, hidde
     if servo := data.get("servo_error", ()):
         keys = ("offset", "reversal", "rms", "largest", "rest")
         cells = [[str(row["joint"]), *(f"{row[key]:z.5f}" for key in keys), row["unit"]] for row in servo]
-        meaning = "read less commanded: offset + reversal s + rest, s = +1 or -1 the sign of the last motion"
+        meaning = "read less commanded, as the drawing counts: offset + reversal s + rest, s the last motion's sign"
         parts += [Sheet(("joint", *keys, "unit"), cells, "Servo error"), meaning]
     # whose the errors before the fit are; without a place in the file, one has been fitted before
     places = placing(fit.model.parameters)
