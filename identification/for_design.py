@@ -102,6 +102,9 @@ class ArmModel(Model):
             return plan.postures, np.tile(excess[:, None] + unread, len(points))
         if len(points) == 1:  # whatever the file calls it
             points = [max(set(names), key=names.count)]
+            if others := len(names) - names.count(points[0]):
+                which = f"{others} of {len(names)} rows are not of {points[0]} and do not count"
+                warnings.warn(f"{column}: {which}; name all measured points in the arm file", stacklevel=2)
         postures, places = np.unique(plan.postures.round(9), axis=0, return_inverse=True)
         runs, read = dict[tuple[int, int], Array](), Counter[tuple[int, str]]()
         for place, name, more in zip(places.reshape(-1).tolist(), names, excess, strict=True):

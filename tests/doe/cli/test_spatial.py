@@ -142,6 +142,7 @@ def test_a_kept_run_counts_once_with_the_reflectors_that_were_read(spatial: Fold
         assert std == pytest.approx(deviation * parameter.to_file, rel=1e-6)
     spatial.write("other.csv", spatial.read("data.csv").replace(",top\n", ",bottom\n"))
     spatial.refused(f"{drawn} other.csv", "bottom")
+    assert "20 of 60 rows are not of" in spatial.armcal(f"{drawn.replace('truth', 'arm')} some.csv").err
     spatial.write("pose.toml", spatial.read("truth.toml").replace("= 0.02", "= 0.02\nsigma_deg = 0.01"))
     of_poses = load_arm(spatial.path / "pose.toml")  # of which plans read two frames, and these rows the points of some
     some, whole = (
