@@ -183,7 +183,10 @@ class Search:
                 sets[tuple(sorted((*blocks, block)))].append((float(of_blocks[block]), with_it))
         # what was drawn has these odds together, and this share of the probability
         evidence = float(logsumexp([*odds.values()]) - np.log(share))
-        listed = sorted((-sum(p for p, _ in found), max(found)[1]) for found in sets.values())
+        # sizes as rounding cannot turn them
+        listed = sorted(
+            (-sum(p for p, _ in found), max((round(p, 9), key) for p, key in found)[1]) for found in sets.values()
+        )
         return [(key, float(np.log(-less)) + evidence) for less, key in listed if -less > LEAST], draws
 
     def _each(self, left: State) -> Array:

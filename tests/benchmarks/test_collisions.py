@@ -24,6 +24,7 @@ import pytest
 
 from doe import DesignProblem
 from identification import Model, load_arm
+from identification.files.urdf import MOVING, read_urdf
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.filterwarnings("ignore")]  # of pinocchio
 
@@ -125,12 +126,6 @@ class Judge:
         return not blocked, math.degrees(math.acos(cosine))
 
 
-def joints_of(urdf: Path, base: str, tip: str) -> list[str]:
-    from identification.files.urdf import MOVING, read_urdf
-
-    return [e.name for e in read_urdf(urdf).joints(base, tip) if e.type in MOVING]
-
-
 def plan_of(folder: Path, arm: str, seed: int, *more: str) -> tuple[dict[str, Any], np.ndarray, list[str], float]:
     """The answer, all rows of the plan in order (measured and via), their kinds, and the processor time [s]."""
     (folder / "arm.toml").write_text(arm)
@@ -153,7 +148,8 @@ def robot(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[str, Judge, s
     path = data() / "example-robot-data/robots" / urdf
     shutil.copy(path, tmp_path)
     head = f'kind = "spatial"\nurdf = "{path.name}"\nbase_link = "{base}"\ntip_link = "{tip}"\n\n{BASE}'
-    return request.param, Judge(path, joints_of(path, base, tip)), head
+    joints = [joint.name for joint in read_urdf(path).joints(base, tip) if joint.type in MOVING]
+    return request.param, Judge(path, joints), head
 
 
 @pytest.mark.parametrize(("floor", "least"), [("", 0.985), (FLOOR, 0.95)], ids=["bodies", "floor"])

@@ -57,18 +57,13 @@ def test_spheres_see_every_link() -> None:
         np.testing.assert_allclose(margin, nearest, atol=0.8)  # points are up to 1.6 mm apart
 
 
-def inside_pillar(points: Array) -> Array:
-    """(k,) whether points are in the cylinder or the half balls on its ends."""
-    start, along = np.array(PILLAR.start), np.subtract(PILLAR.end, PILLAR.start)
-    height = np.clip((points - start) @ along / (along @ along), 0.0, 1.0)
-    return np.asarray(np.linalg.norm(points - start - height[:, None] * along, axis=1) < PILLAR.radius)
-
-
 def test_cylinders_see_every_link() -> None:
-    inside = 0
+    """Points are in the cylinder or the half balls on its ends."""
+    inside, start, along = 0, np.array(PILLAR.start), np.subtract(PILLAR.end, PILLAR.start)
     for posture, margin in zip(POSTURES, MADE[2].margin(POSTURES), strict=True):
         for points, own in zip(links(posture), margin, strict=True):
-            hit = bool(inside_pillar(points).any())
+            height = np.clip((points - start) @ along / (along @ along), 0.0, 1.0)
+            hit = bool((np.linalg.norm(points - start - height[:, None] * along, axis=1) < PILLAR.radius).any())
             assert hit == (own < 0) or abs(own) < 0.8
             inside += hit
     assert inside > 50

@@ -43,9 +43,7 @@ def test_group_means_are_compared_by_students_t() -> None:
     assert (mean - mean_of(other, (np.arange(40) % 5,))).p_above() == pytest.approx(welch.pvalue, rel=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("move", "sigma", "expected"), [(1.0, 0.0, False), (1.0, 0.1, False), (1.0, 10.0, None), (0.0, 0.0, None)]
-)
+@pytest.mark.parametrize(("move", "sigma", "expected"), [(1.0, 0.0, False), (1.0, 10.0, None), (0.0, 0.0, None)])
 def test_without_noise_any_two_models_differ_for_sure(move: float, sigma: float, expected: bool | None) -> None:
     """Eight rows where nothing is gained: refuted if the models differ there at all, else the rows do not tell."""
     before, after = np.tile([1.0, 0.0], (8, 1)), np.tile([np.cos(move), np.sin(move)], (8, 1))
@@ -98,7 +96,6 @@ def held_out(rng: np.random.Generator, m: int, size: float, present: float = 1.0
         (False, 0.9, 1.0, {"m": 200, "size": 1.0, "noise": 1.5}),  # something else is there as well
         # few rows neither confirm nor refute, even where nothing is named: they cannot show that nothing is missing
         (None, 0.9, 1.0, {"m": 6, "size": 0.5}),
-        (None, 0.9, 1.0, {"m": 1, "size": 3.0}),
         (None, 0.9, 1.0, {"m": 3, "size": 0.0}),
     ],
 )
@@ -226,19 +223,19 @@ def test_residuals_do_not_shrink_by_what_is_fitted() -> None:
 
 
 def test_held_out_rows_are_tested_against_the_given_sigma() -> None:
-    """Twelve rows determine four parameters with errors that add a sixth to the square of the noise: at 5 %, of 200
-    sets, fail beyond 0.05 + 3 standard errors (a third without that sixth); noise of 1.6 sigma is always seen."""
-    arm, significant = Arm([200.0, 100.0], sigma=SIGMA), list[bool]()
+    """Errors of the parameters, of twelve rows, add a sixth to the square of the noise. Of 200 sets those in which more
+    is seen, at 5 %, stay within 3 standard errors (without that sixth a third is); noise of 1.6 sigma always is."""
+    arm, every, beyond = Arm([200.0, 100.0], sigma=SIGMA), np.ones(12, dtype=bool), list[bool]()
     for seed in range(220):
-        scatter, rng = 1.0 if seed < 200 else 1.6, np.random.default_rng(seed)
+        rng = np.random.default_rng(seed)
         q, noise = rng.uniform(-3.0, 3.0, (162, 2)), SIGMA * rng.normal(size=(162, 2))
-        p = Model(arm).position(q) + np.concatenate([noise[:12], scatter * noise[12:]])
-        data, fresh = Measurements(q[:12], p[:12]), Measurements(q[12:], p[12:])
-        base = fit(Model(arm), Rows.of(data))
-        test = HeldOut.of(fresh, data).test(base, geometry(base), data, np.ones(12, dtype=bool), False, 1.0)
-        significant.append(test.beyond_sigma)
-    assert all(significant[200:])
-    assert np.mean(significant[:200]) < 0.05 + 3.0 * np.sqrt(0.05 * 0.95 / 200)
+        noise[12:] *= 1.0 if seed < 200 else 1.6
+        rows = Measurements(q, Model(arm).position(q) + noise)
+        data, fresh = rows.rows(np.arange(12)), rows.rows(np.arange(12, 162))
+        base = geometry(fit(Model(arm), Rows.of(data)))
+        beyond.append(HeldOut.of(fresh, data).test(base, base, data, every, False, 1.0).beyond_sigma)
+    assert np.mean(beyond[:200]) < 0.05 + 3.0 * np.sqrt(0.05 * 0.95 / 200)
+    assert all(beyond[200:])
 
 
 def test_points_have_the_numbers_of_the_data() -> None:

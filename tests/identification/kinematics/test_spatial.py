@@ -83,14 +83,6 @@ def chain() -> KinematicChain:
     return KinematicChain(found.joints, found.end, base, {"1": np.array([10.0, -20.0, 30.0])})
 
 
-def position_and_jacobian(chain: KinematicChain, q: Array, values: Array) -> tuple[Array, Array]:
-    symbols, p = ca.SX.sym("q", len(chain)), ca.SX.sym("p", len(chain.every_parameter))
-    named = {name: p[k] for k, name in enumerate(chain.every_parameter.names)}
-    tip = chain.measured(chain.frames(symbols, named)[-1], named).origin
-    found = vectorize(ca.Function("tip", [symbols, p], [tip, ca.jacobian(tip, p)]))(q, values)
-    return found[0][..., 0], found[1]
-
-
 def postures(chain: KinematicChain, count: int) -> Array:
     low, high = (np.array([getattr(joint, side) for joint in chain.joints]) for side in ("lower", "upper"))
     return np.random.default_rng(5).uniform(low, high, (count, len(chain)))
@@ -147,11 +139,15 @@ def test_pinocchio_agrees() -> None:
     model, names = pinocchio.buildModelFromUrdf(str(URDF)), chain.every_parameter.names
     data, frame = model.createData(), model.getFrameId("tool0")
     scale = np.repeat([1.0, 1000.0], 3)  # [mm/mm] of [m/m], [mm/rad] of [m/rad]
+    symbols, p = ca.SX.sym("q", len(chain)), ca.SX.sym("p", len(names))
+    named = {name: p[k] for k, name in enumerate(names)}
+    tip = chain.measured(chain.frames(symbols, named)[-1], named).origin
+    read = vectorize(ca.Function("tip", [symbols, p], [tip, ca.jacobian(tip, p)]))
     for q in postures(chain, 20):
         placed = [value for joint, angle in zip(chain.joints, q, strict=True) for value in _pinocchio(joint, angle)]
         pinocchio.framesForwardKinematics(model, data, np.array(placed))
-        position, jacobian = position_and_jacobian(chain, q, np.zeros(len(names)))
-        np.testing.assert_allclose(position, 1000.0 * data.oMf[frame].translation, atol=1e-9)
+        position, jacobian = read(q, np.zeros(len(names)))
+        np.testing.assert_allclose(position[..., 0], 1000.0 * data.oMf[frame].translation, atol=1e-9)
         axes = pinocchio.ReferenceFrame.LOCAL_WORLD_ALIGNED
         regressor = pinocchio.computeFrameKinematicRegressor(model, data, frame, axes)[:3]
         for j, joint in enumerate(chain.joints, start=1):
