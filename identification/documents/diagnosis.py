@@ -106,7 +106,7 @@ def findings(data: Data) -> list[str]:
         noise = any(finding["finding"] != "repeats" for finding in data["scatter"])
         unexplained = "" if noise else ", which nothing here explains"
         lines.append(f"The residuals scatter by {misfit['ratio']:.3g} x sigma_mm{unexplained}.")
-    elif data["confirmation"] and data["confirmation"].get("beyond_sigma"):
+    elif (data.get("confirmation") or {}).get("beyond_sigma"):
         lines.append("Of the rows held out more is left than sigma_mm explains.")
     for answer, says in ((True, "Replicates"), (False, "Does not replicate")):
         if effects := [one["effect"] for one in data["replication"] if one["replicates"] is answer]:
