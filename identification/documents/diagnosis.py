@@ -107,7 +107,7 @@ def findings(data: Data) -> list[str]:
         unexplained = "" if noise else ", which nothing here explains"
         lines.append(f"The residuals scatter by {misfit['ratio']:.3g} x sigma_mm{unexplained}.")
     elif (data.get("confirmation") or {}).get("beyond_sigma"):
-        lines.append("Of the rows held out more is left than sigma_mm explains.")
+        lines.append("On the rows held out the residuals are larger than sigma_mm explains.")
     for answer, says in ((True, "Replicates"), (False, "Does not replicate")):
         if effects := [one["effect"] for one in data["replication"] if one["replicates"] is answer]:
             lines.append(f"{says} across sessions: {' + '.join(effects)}.")
