@@ -78,7 +78,7 @@ def test_a_block_added_to_a_set_is_the_larger_set() -> None:
 @pytest.mark.parametrize("seed", range(2))
 def test_sets_that_change_by_one_block_are_those_made_at_once(seed: int) -> None:
     products, rng = problem(seed)[3], np.random.default_rng(seed)
-    state = products.state()
+    state = products.state([(1, 2), (4, 1)][: 2 * seed])  # which the others are computed from
     for _ in range(40):
         block = int(rng.integers(len(WIDTHS)))
         state = state.without(block) if block in state.blocks else state
