@@ -25,7 +25,7 @@ from scipy.special import chdtrc, chdtri, fdtrc, gammaln, ndtri, pdtrc, stdtr, s
 from identification.arm import Calibration
 from identification.arrays import Array
 from identification.estimation.problem import Problem
-from identification.information import ALONE, Spectrum, product_inverse, spectrum
+from identification.information import ALONE, PRODUCT_TOLERANCE, Spectrum, spectrum
 from identification.kinematics.parameters import ParameterSet
 from identification.measurements import Measurements
 
@@ -368,7 +368,9 @@ def studentised(residual: Array, blocks: Array, moment: Array | float = 0.0) -> 
         # all rows together are orthonormal: of the normal matrix the part of some is taken off (M. A. Woodbury, 1950)
         kept[out], lost = False, blocks[out].reshape(-1, k)
         taken = inverse @ lost.T
-        gain, moved = product_inverse(np.eye(len(lost)) - lost @ taken), blocks @ taken
+        left, turns = np.linalg.eigh(np.eye(len(lost)) - lost @ taken)  # 0 where no other row says anything
+        gain = (turns / np.where(left > PRODUCT_TOLERANCE, left, np.inf)) @ turns.T
+        moved = blocks @ taken
         rest, inverse = rest - moved @ gain @ moved.transpose(0, 2, 1), inverse + taken @ gain @ taken.T
         moment = moment - residual[out].reshape(-1) @ lost
 

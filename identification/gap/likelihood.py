@@ -23,6 +23,9 @@ from identification.information import VISIBLE, significant
 # tenth of the reach, equally spaced in log lambda
 SIZES: Array = 3.0 * np.exp2(np.arange(14))
 CHANGED = 96  # effort: columns by which a set differs from the one that it is computed from
+# numerical: of a set that others are computed from, by what factors the variances of its coefficients are larger than
+# if each was alone, in sum; rounding counts with its square
+INFLATED = 1e5
 LEAST = 1e-14  # of y^T y, and of a probability of 1; numerical: what rounding leaves of a sum
 
 Index = NDArray[np.int64]
@@ -176,12 +179,13 @@ class State:
     @cached_property
     def taken(self) -> Array:
         """(k, P) by how much its coefficients take up a unit of each column."""
-        return np.asarray(self.covariance @ self.products.gram[self.columns])
+        return self.solve(self.products.gram[self.columns])
 
     @cached_property
     def change(self) -> tuple[Array, Array, Array, float]:
         """From the set that it is like: (q, P) rows of V of the columns with another s^2, times their own s^2 if there
-        was one, and their scores (q,); by how much V changes, -rows^T inner rows, its (q, q) inner; and the volume."""
+        was one, and their scores (q,); by how much V changes, -rows^T inner^-1 rows, its (q, q) inner; and that of the
+        volume."""
         like = self if self.like is None else self.like
         differs, widths = self.variances != like.variances, self.products.widths
         place = np.flatnonzero(np.repeat(differs, widths)[like.columns])
@@ -198,7 +202,7 @@ class State:
         inner[:n, :n], inner[n:, :n] = -like.covariance[np.ix_(place, place)], inner[:n, n:].T
         inner += np.diag(factor * (factor / (new - old) + (old > 0.0)))
         volume = np.linalg.slogdet(inner)[1] + np.sum(np.log(np.abs(new - old) / factor**2))
-        return rows, scores, np.linalg.inv(inner), float(volume)
+        return rows, scores, inner, float(volume)
 
     @cached_property
     def remaining(self) -> tuple[Array, tuple[Array, ...]]:
@@ -209,7 +213,8 @@ class State:
             scores, within = self.products.right, tuple(gram[i[:, :, None], i[:, None, :]] for i in self.products.alike)
         else:
             (scores, within), (rows, missed, inner, _) = self.like.remaining, self.change
-            mean, taken = inner @ missed, inner @ rows
+            # an inverse would lose digits
+            mean, taken = (np.asarray(np.linalg.solve(inner, each)) for each in (missed, rows))
         one, other = np.ascontiguousarray(rows.T), np.ascontiguousarray(taken.T)
         pairs = zip(self.products.alike, within, strict=True)
         return scores - one @ mean, tuple(part - one[i] @ other[i].transpose(0, 2, 1) for i, part in pairs)
@@ -222,7 +227,8 @@ class State:
             volume = 2.0 * float(np.sum(np.log(np.diag(self.factor) * self.sizes)))
         else:
             _, missed, inner, more = self.change
-            left, volume = self.like.squares - float(missed @ inner @ missed), self.like.evidence[1] + more
+            left = self.like.squares - float(missed @ np.linalg.solve(inner, missed))
+            volume = self.like.evidence[1] + more
         return max(left, LEAST * self.products.squares, 1e-300), volume
 
     squares = property(lambda self: self.evidence[0])
@@ -252,8 +258,10 @@ class State:
 
     @cached_property
     def near(self) -> State:
-        """What sets that differ by a block are like: a copy, where this one is no longer like another."""
+        """What sets that differ by a block are like: a copy, where this one is no longer like another; and nothing,
+        where columns that are nearly the same would cost others, computed from this one, their digits."""
         if self.like is None:
-            return self
+            factors = np.diag(self.covariance) * np.diag(self.products.gram)[self.columns]
+            return self if np.sum(factors) <= INFLATED else self.products.state()
         changed = self.products.widths[self.variances != self.like.variances]
-        return self.like if np.sum(changed) <= CHANGED else self.products.state(self.key)
+        return self.like if np.sum(changed) <= CHANGED else self.products.state(self.key).near

@@ -40,8 +40,7 @@ def test_upper_bound_holds_and_is_tight(seed: int, n: int, terms: int) -> None:
     upper = lower + generator.uniform(0.1, 4.0, n)
     tried = ((lower + upper) / 2)[None]
     found = maximum(polynomial, lower, upper, tried=tried, tolerance=1e-6, most_boxes=100_000)
-    grid = product(*np.linspace(lower, upper, {1: 2001, 2: 101, 3: 31}[n]).T)
-    samples = plainly(polynomial, np.array(list(grid)))
+    samples = plainly(polynomial, np.array(list(product(*np.linspace(lower, upper, {1: 2001, 2: 101, 3: 31}[n]).T))))
     ridge = np.linalg.matrix_rank(polynomial.frequencies) < n  # of equal maxima, which takes boxes without end
     assert found.proven or ridge
     assert samples.max() <= found.upper
@@ -93,8 +92,7 @@ def test_bounds_over_boxes(seed: int, n: int) -> None:
 
 def numerical_slope(polynomial: TrigonometricPolynomial, point: Array) -> Array:
     h = 1e-6
-    moved = np.concatenate([point + h * np.eye(len(point)), point - h * np.eye(len(point))])
-    values = plainly(polynomial, moved)
+    values = plainly(polynomial, np.concatenate([point + h * np.eye(len(point)), point - h * np.eye(len(point))]))
     return (values[: len(point)] - values[len(point) :]) / (2 * h)
 
 
@@ -122,8 +120,7 @@ def test_equals_the_jacobians(case) -> None:  # type: ignore[no-untyped-def]
     gradient = root @ root.T
     jacobians = case.scaled_jacobians(q)
     expected = 0.7 * np.einsum("kda,ab,kdb->k", jacobians, gradient, jacobians) + 3.0
-    found = trigonometric_jacobian(case)
-    polynomial = TrigonometricPolynomial.of_sensitivity(found, gradient, 0.7, 3.0)
+    polynomial = TrigonometricPolynomial.of_sensitivity(trigonometric_jacobian(case), gradient, 0.7, 3.0)
     assert polynomial.value(q) == pytest.approx(expected, rel=1e-11)
     assert polynomial.magnitude >= np.abs(expected).max()  # what the margin for rounding is taken of
 

@@ -74,8 +74,7 @@ def test_a_plan_is_what_it_says_whatever_the_lengths(n: int, width: float, runs:
     expected, _ = oracle(found.plan.postures, np.full(runs, 1.0 / runs))
     assert found.value == pytest.approx(expected, abs=1e-9)
     assert found.value <= found.bound.value + 1e-9
-    same = score(problem_of(np.full(n, 100.0), width), found.plan)
-    assert same.value == pytest.approx(found.value, abs=1e-9)
+    assert score(problem_of(np.full(n, 100.0), width), found.plan).value == pytest.approx(found.value, abs=1e-9)
 
 
 def test_a_thousand_runs_of_twelve_links() -> None:

@@ -209,8 +209,7 @@ def test_the_headline_is_the_error_on_rows_that_no_fit_has_seen(campaign: Folder
     headline, *rest = campaign_document(names)[0].verdict
     assert f"to {in_a_sentence(by_rows)} mm" in headline
     assert headline not in rest
-    alone = campaign_document(names[:3])[0].verdict[0]
-    assert "On 12 rows of data.csv" in alone
+    assert "On 12 rows of data.csv" in campaign_document(names[:3])[0].verdict[0]
 
 
 def test_every_calibration_is_shown_and_the_one_that_is_used_is_said(folder: Folder) -> None:

@@ -223,8 +223,7 @@ def test_a_singular_plan_proves_no_bound(phi: Criterion) -> None:
 
 
 def test_batches_are_judged_one_by_one() -> None:
-    generator = np.random.default_rng(3)
-    rows = generator.normal(size=(4, 6, 30, 5))
+    rows = np.random.default_rng(3).normal(size=(4, 6, 30, 5))
     rows[1, 2, :, 4] = rows[1, 2, :, 0] - rows[1, 2, :, 3]
     rows[3, 0, 0, 0] = np.nan
     found = log_determinants(np.swapaxes(rows, -1, -2) @ rows)

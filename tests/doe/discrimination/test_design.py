@@ -277,8 +277,7 @@ def test_the_bound_holds_for_simulated_measurements() -> None:
     reference, plan = columns(9, 600), columns(1)
     plan[:, OWN + 1] = plan[:, OWN] + 0.25 * plan[:, OWN + 1]  # much alike
     library = EffectLibrary(OWN, MODEL, BASES[:2], np.ones(2))
-    misidentification = MisidentificationBound(library, reference.T @ reference / 300)
-    bound = float(misidentification.wrong(plan.T @ plan / RUNS))
+    bound = float(MisidentificationBound(library, reference.T @ reference / 300).wrong(plan.T @ plan / RUNS))
     basis = np.linalg.qr(plan[:, :OWN])[0]
     seen = [column - basis @ (basis.T @ column) for column in plan[:, OWN : OWN + 2].T]
     scale = [LAMBDA / left_of(reference[:, OWN + h], reference[:, :OWN]) * np.sqrt(300 / RUNS) for h in (0, 1)]

@@ -103,8 +103,7 @@ def test_definitions() -> None:
     case = problem(FOUR, OFFSET)
     plan = np.random.default_rng(0).uniform(FOUR.lower, FOUR.upper, (9, 4))
     jacobian = (case.model.jacobian(plan) / case.model.parameters.scales).reshape(18, 10)
-    eigenvalues = np.sort(np.linalg.eigvalsh(jacobian.T @ jacobian))
-    s = np.sqrt(eigenvalues)
+    s = np.sqrt(np.sort(np.linalg.eigvalsh(jacobian.T @ jacobian)))
     found = observability(case, plan)
     assert found["o1"] == pytest.approx(np.prod(s) ** (1 / 10) / 3)
     assert found["o1"] == pytest.approx(np.exp(case.objective(plan) / 20))  # D
@@ -176,8 +175,7 @@ def test_of_a_diagnosed_arm_nothing_is_missing() -> None:
     values = {"encoder_eccentricity:1.a": 1e-3, "encoder_eccentricity:1.b": 0.0}
     own = ARM.with_effects(EffectSpec("encoder_eccentricity", 1))
     case = DesignProblem.of(Model(replace(own, calibration=Calibration(values))))
-    errors = TipErrors.of(case)
-    found, poses = errors.of_plan(POSTURES), workspace(case)
+    found, poses = TipErrors.of(case).of_plan(POSTURES), workspace(case)
     expected = -replace(case, criterion=average_error(case, poses)).objective(POSTURES) * 0.1**2 / len(POSTURES)
     assert found["model_right"] ** 2 == pytest.approx(expected, rel=1e-9)
     assert (found["effects_missing"], found["effects_missing_prior"]) == (np.inf, np.inf)

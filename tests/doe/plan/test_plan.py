@@ -112,8 +112,7 @@ def test_long_plans_have_no_exchange_left_and_gain() -> None:
     found = postures[shortest_path(costs(postures))]
     assert by_hand(found) < 0.7 * by_hand(postures)
     for i, k in combinations(range(1, 60), 2):
-        other = np.vstack([found[:i], found[i:k][::-1], found[k:]])
-        assert by_hand(other) >= by_hand(found) - 1e-9
+        assert by_hand(np.vstack([found[:i], found[i:k][::-1], found[k:]])) >= by_hand(found) - 1e-9
 
 
 # -- postures apart ----------------------------------------------------------------------------------------------------
@@ -209,8 +208,7 @@ def test_of_a_list_each_posture_once() -> None:
     choices = np.random.default_rng(2).uniform(FOUR.lower, FOUR.upper, (8, 4))
     case = problem(FOUR, choices=choices)
     generator = np.random.default_rng(0)
-    longer = with_additions(case, choices[:6], 2, generator)
-    assert len(np.unique(longer, axis=0)) == 8
+    assert len(np.unique(with_additions(case, choices[:6], 2, generator), axis=0)) == 8
     assert with_additions(case, choices[:6], 3, generator) is None
     assert with_additions(replace(case, minimum_distance=0.0), choices[:6], 3, generator) is not None
 
@@ -352,8 +350,7 @@ def test_every_joint_comes_from_its_side() -> None:
     postures = generator.uniform(-1.9, 1.9, (40, 2))
     postures = postures[np.all(room.margin(postures) >= 0.0, axis=1)][:12]
     senses = np.where(generator.random(postures.shape) < 0.5, -1.0, 1.0)
-    entries = approaches(postures, senses, np.eye(2), room, generator)
-    found = route(postures, room, entries)
+    found = route(postures, room, approaches(postures, senses, np.eye(2), room, generator))
     assert sampled(room, whole_way(postures, found)) >= 0.0
     steps = postures[found[0]] - np.array([way[-2] for way in found[1]])
     assert np.all(np.sign(steps) == senses[found[0]])

@@ -116,8 +116,7 @@ def test_users_own_expression() -> None:
 
 def test_calibrated_lengths_count() -> None:
     longer = replace(ARM, calibration=Calibration.of(np.array([10.0, 0, 0, 0]), np.zeros(4)))
-    stretched = constraints_of(Model(longer))[0].margin(np.zeros((1, 4)))
-    assert stretched[0, 0] == pytest.approx(660 + 10 + 400)
+    assert constraints_of(Model(longer))[0].margin(np.zeros((1, 4)))[0, 0] == pytest.approx(660 + 10 + 400)
 
 
 @pytest.mark.parametrize(

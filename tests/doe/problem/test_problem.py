@@ -26,8 +26,7 @@ from tests.doe.arms import ECCENTRICITY, FOUR, OFFSET, problem
 
 def test_information_with_measured_postures_is_the_information_of_all_runs() -> None:
     """k kept and m new runs: M of the weighted plan equals the mean over all k + m rows."""
-    generator = np.random.default_rng(0)
-    kept, new = generator.uniform(FOUR.lower, FOUR.upper, (2, 5, 4))
+    kept, new = np.random.default_rng(0).uniform(FOUR.lower, FOUR.upper, (2, 5, 4))
     case = problem(FOUR, OFFSET, ECCENTRICITY, kept=kept)
     prior = case.prior.per_new_run(10)
     weights = np.array([0.1, 0.2, 0.3, 0.3, 0.1])  # ten runs: 1, 2, 3, 3, 1

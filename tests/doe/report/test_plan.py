@@ -41,8 +41,7 @@ def test_a_robust_plan_is_judged_by_millimetres() -> None:
     said = " ".join(str(design).split())
     assert re.search(r"efficiency 0.0\d+ of the bound \(the list of 2,000 postures, proven\)", said)
     assert "RMS over the workspace or --test-poses, if fitted by armcal identify --library" in design.verdict
-    few = replace(design, problem=replace(wide, choices=design.plan.postures))
-    assert "RMS over the candidates" in few.verdict
+    assert "RMS over the candidates" in replace(design, problem=replace(wide, choices=design.plan.postures)).verdict
     assert "value of I" not in said
     assert "upper bound" not in said
 
@@ -93,8 +92,7 @@ def test_the_log_det_of_a_plan_follows_from_what_the_page_has(arm: Arm, joints: 
     via = np.arange(runs + 1) == 3
     whole = Plan(np.random.default_rng(1).uniform(-2.0, 2.0, (runs + 1, joints)), via=via)
     plan, steps = Plan(whole.measured), plan_steps(problem(arm), whole)
-    p = steps["parameters"]
-    rows = np.array(steps["jacobians"]).reshape(-1, p)
+    rows = np.array(steps["jacobians"]).reshape(-1, steps["parameters"])
     log_det = np.linalg.slogdet((rows.T @ rows + np.diag(steps["precisions"])) / runs)[1]
     assert log_det == pytest.approx(score(DesignProblem.of(Model(arm)), plan).log_det, abs=1e-8)
     cells = np.array(steps["rows"])[steps["runs"], 1 : 1 + joints].astype(float)  # after its kind

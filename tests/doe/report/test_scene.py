@@ -100,8 +100,7 @@ def test_a_body_without_triangles_looks_like_its_pieces() -> None:
         outward = np.linalg.det(triangles - triangles.mean(axis=(0, 1)))  # counterclockwise from outside
         assert (outward > -1e-6).all()
         assert outward.sum() / 6.0 == pytest.approx(volume, rel=error)
-    away = np.linalg.norm(Body("ball", 2, ball).looks() - start, axis=-1)
-    np.testing.assert_allclose(away, radius)
+    np.testing.assert_allclose(np.linalg.norm(Body("ball", 2, ball).looks() - start, axis=-1), radius)
     local = np.abs((Body("brick", 0, boxes=brick).looks() - brick[0, :3]) @ turn)
     np.testing.assert_allclose(local, np.broadcast_to(half, local.shape))
 

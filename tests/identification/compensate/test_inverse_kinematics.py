@@ -28,8 +28,7 @@ OFFSETS = np.array([0.01, -0.02])
 
 def clearance(joints: np.ndarray) -> np.ndarray:
     """(k,) distance of polylines (k, points) of the complex plane from the circle, by many points on each link."""
-    share = np.linspace(0.0, 1.0, 2001)
-    points = joints[:, :-1, None] + share * np.diff(joints, axis=1)[..., None]
+    points = joints[:, :-1, None] + np.linspace(0.0, 1.0, 2001) * np.diff(joints, axis=1)[..., None]
     return np.min(np.abs(points - complex(*CIRCLE.start)), axis=(1, 2)) - CIRCLE.radius
 
 
@@ -133,8 +132,7 @@ def test_a_posture_a_turn_beyond_the_limits_is_the_same_posture() -> None:
     model = Model(arm)
     wanted, read = np.radians([[137.0, -60.0]]), np.radians([[-223.0, 300.0]])
     goals = model.position(wanted, np.zeros(4))
-    found = compensate(arm, goals, read)
-    assert found.commands == pytest.approx(wanted, abs=1e-6)
+    assert compensate(arm, goals, read).commands == pytest.approx(wanted, abs=1e-6)
 
 
 def test_nominal_postures_thousands_of_turns_away() -> None:

@@ -390,6 +390,16 @@ def test_with_a_prior_the_squares_are_those_of_the_prediction_without_the_row() 
     np.testing.assert_allclose(found, squares, rtol=1e-4)  # 1e-6 is added to each covariance
 
 
+def test_without_the_row_that_alone_determines_a_column_the_fit_is_that_of_the_other_columns() -> None:
+    rng = np.random.default_rng(2)
+    columns, residual = rng.normal(size=(20, 4)), rng.normal(size=(20, 1))
+    columns[1:, 3] = 0.0
+    fits = studentised(residual, np.linalg.qr(columns)[0][:, None])
+    next(fits)
+    expected = next(studentised(residual[1:], np.linalg.qr(columns[1:, :3])[0][:, None]))
+    np.testing.assert_allclose(fits.send(np.array([0])), [0.0, *expected], rtol=1e-9)
+
+
 def test_outliers_that_hide_each_other_are_found_and_a_third_of_the_rows_is_structure() -> None:
     """Three of one direction and size, in 30 rows: none stands out beside the other two until one is taken out."""
     rng = np.random.default_rng(1)

@@ -247,8 +247,7 @@ def test_what_is_outside_the_library_is_of_the_size_asked_for_in_space(number: i
 def test_outliers_are_15_sigma_away() -> None:
     """Beside the same arm without them, which is the true model fitted to the other rows."""
     data = data_set("space, three outliers, lambda 8", 900)
-    arm = fitted_arm(data.arm, data.measurements, data.specs, data.wrong_rows)
-    rows, model = data.measurements, Model(arm)
+    rows, model = data.measurements, Model(fitted_arm(data.arm, data.measurements, data.specs, data.wrong_rows))
     missed = np.linalg.norm(rows.positions - model.position(rows.postures, model.values, rows.conditions), axis=1)
     wrong = np.flatnonzero(missed > 10.0 * data.arm.sigma) + 1
     assert tuple(wrong.tolist()) == data.wrong_rows
