@@ -101,7 +101,7 @@ class ArmModel(Model):
         if not names:
             return plan.postures, np.tile(excess[:, None] + unread, len(points))
         if len(points) == 1:  # whatever the file calls it
-            points = [max(set(names), key=names.count)]
+            points = [Counter(names).most_common(1)[0][0]]
             if others := len(names) - names.count(points[0]):
                 which = f"{others} of {len(names)} rows are not of {points[0]} and do not count"
                 warnings.warn(f"{column}: {which}; name all measured points in the arm file", stacklevel=2)

@@ -25,12 +25,13 @@ RAMP = 0.3  # [s] from rest to full speed, of common arms; --robot ur is asked f
 SPECIAL = re.compile(r"[^ -~]|[\"\\{}\[\];]")  # what a comment, a string or a name in some language cannot have
 # of RAPID, KRL and URScript, which a program's name cannot be; a TP program may have any
 RESERVED = """
-alias and backward bool brake break case channel char circ confirm connect const continue decl def default deffct
-div do elif else elseif end enddat endfct endfor endfunc endif endloop endmodule endproc endrecord endswitch endtest
-endtrap endwhile enum error exit ext extfct false for frame from func global goto halt if import in inout int
-interrupt is lin local loop mod module movej not or pass pers popup prio proc ptp public raise readonly real record
-repeat resume retry return sec signal sleep step struc switch task test then thread to trap trigger true undo until
-var wait when while with xor
+alias and anin anout backward bas bool brake break case channel char circ confirm connect const continue decl def
+default defdat deffct delay digin div do elif else elseif end enddat endfct endfor endfunc endif endloop endmodule
+endproc endrecord endspline endswitch endtest endtrap endwhile enum error exit exor ext extfct false for frame from
+func global goto halt if import in inout int interrupt is lin local loop mod module movej nostepin not noview off on
+or pass pers popup prio proc ptp public pulse raise readonly real record repeat resume retry return sec signal sleep
+spline step struc switch sysmodule task test then thread to trap trigger true trynext undo until var viewonly wait
+when while with xor
 """
 # robot -> template, units of angles and lengths, fewest and most joints; a UR controller knows six
 LANGUAGES = {

@@ -205,6 +205,8 @@ NAMES = {
     "my plan-2": "my_plan_2",
     "2nd": "armcal_2nd",
     "Test": "armcal_Test",  # a statement of RAPID
+    "trynext": "armcal_trynext",
+    "bas": "armcal_bas",  # which a KUKA's program calls
     "ärger": "rger",
     "": "armcal",
     "x" * 40: "x" * 24,
