@@ -23,7 +23,6 @@ from identification.information import VISIBLE, significant
 # tenth of the reach, equally spaced in log lambda
 SIZES: Array = 3.0 * np.exp2(np.arange(14))
 CHANGED = 96  # effort: columns by which a set differs from the one that it is computed from
-
 # numerical: of a set that others are computed from, by what factors the variances of its coefficients are larger than
 # if each was alone, in sum; rounding counts with its square, here by 1e-4 of a log likelihood
 INFLATED = 1e6
