@@ -184,17 +184,19 @@ class Calibration(ByValue):
         cls,
         length_errors: ArrayLike,
         joint_offsets: ArrayLike,
-        effects: Mapping[str, float] | None = None,
-        **others: Any,
+        effects: Mapping[str, float] = MappingProxyType({}),
+        parameter_names: tuple[str, ...] = (),
+        covariance: Array | None = None,
+        provenance: Mapping[str, Any] = MappingProxyType({}),
     ) -> Calibration:
         """From (n,) length errors [mm] and (n,) joint offsets [rad] of a planar arm, and values of its effects. Raises
-        `InputError` if the two differ in number;  others : fields"""
+        `InputError` if the two differ in number."""
         errors, offsets = np.ravel(length_errors), np.ravel(joint_offsets)
         counted = f"calibration: found {len(errors)} length errors and {len(offsets)} joint offsets"
         require(len(errors) == len(offsets), f"{counted}, allowed: one of each for every joint")
         lists = {LENGTH_ERROR: errors.tolist(), JOINT_OFFSET: offsets.tolist()}
         values = {f"{kind}:{j}": x for kind, each in lists.items() for j, x in enumerate(each, start=1)}
-        return cls(values | dict(effects or {}), **others)
+        return cls(values | dict(effects), parameter_names, covariance, provenance)
 
     @property
     def length_errors(self) -> Array:

@@ -181,4 +181,5 @@ def sparse_basis(orthonormal: Array) -> Array:
     basis = orthonormal @ np.linalg.inv(orthonormal[pivots])
     basis = basis / np.max(np.abs(basis), axis=0, initial=np.finfo(float).tiny)
     basis[np.abs(basis) <= RANK_TOLERANCE] = 0.0
-    return np.asarray(basis[:, sorted(range(k), key=lambda j: tuple(np.flatnonzero(np.abs(basis[:, j]) > TOUCHED)))])
+    order = sorted(range(k), key=lambda j: tuple(np.flatnonzero(np.abs(basis[:, j]) > TOUCHED)))
+    return np.asarray(basis[:, order])

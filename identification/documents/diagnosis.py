@@ -59,6 +59,7 @@ SMALLER = (
     "Effects smaller than these may still be present. Tip: how far the largest of them would move it, RMS over the "
     "rows."
 )
+APPROACH_AGAIN = "Approach some postures again, later: the arm's own scatter shows there, what the model lacks does not"
 
 
 # -- the verdict -------------------------------------------------------------------------------------------------------
@@ -89,14 +90,20 @@ def diagnosis_verdict(data: Data) -> list[str]:
         count = f"{len(sets)} explanations remain, the most likely with probability {likeliest}."
         common = f"In all of them: {effects_in_words(shared)}. Besides: " if shared else ""
         return [*lines, count, as_sentence(common + "; or ".join(spelt))]
-    lines.append(f"Something that the library does not have is missing, {place_in_words(data)}.")
-    if data["where"] is None and data["misfit"] and data["misfit"]["significant"]:
-        lines[-1] = "The arm scatters by more than sigma_mm, or something outside the library is missing."
+    if perhaps_scatter(data):
+        lines.append("The arm scatters by more than sigma_mm, or something outside the library is missing.")
+    else:
+        lines.append(f"Something that the library does not have is missing, {place_in_words(data)}.")
     if is_described(data):
         curves = sorted(curve["joint"] for curve in data["curves"])
         words = "An error curve of {} describes" if len(curves) == 1 else "Error curves of {} describe"
         lines.append(f"{words.format(of_joints(curves))} it; its cause is open.")
     return [*lines, *([f"In addition: {named}."] if effects else [])]
+
+
+def perhaps_scatter(data: Data) -> bool:
+    """Whether what is unknown may be the arm's own scatter: more than sigma, and at no place."""
+    return data["where"] is None and bool(data["misfit"] and data["misfit"]["significant"])
 
 
 def findings(data: Data) -> list[str]:
@@ -207,11 +214,7 @@ def diagnosis_actions(
     if data["verdict"] == "unknown":
         within = ", within the angles measured" if is_described(data) else ""
         usable = f"; the extended model has what was found and may be used in the meantime{within}"
-        look = f"Look for a cause {place_in_words(data)}"
-        if data["where"] is None:
-            look = (
-                "Approach some postures again, later: the arm's own scatter shows there, what the model lacks does not"
-            )
+        look = APPROACH_AGAIN if perhaps_scatter(data) else f"Look for a cause {place_in_words(data)}"
         actions.insert(0, Action(f"{look}{usable if data['predicting'] else ''}."))
     if written is None:
         actions.append(Action("Keep the extended model:", f"{again} --out extended.toml"))

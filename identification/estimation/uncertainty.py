@@ -322,7 +322,8 @@ def freedom_of(calibration: Calibration) -> Array:
 
 def limits_95(parameters: ParameterSet, values: Array, deviations: Array, freedom: ArrayLike) -> Array:
     """(p, 2) confidence limits, cut at the physical bounds;  values, deviations, freedom : (p,), see `quantile_95`."""
-    limits = values[:, None] + (quantile_95(freedom) * deviations)[:, None] * np.array([-1.0, 1.0])
+    half = quantile_95(freedom) * deviations
+    limits = values[:, None] + half[:, None] * np.array([-1.0, 1.0])
     return np.clip(limits, parameters.lower[:, None], parameters.upper[:, None])
 
 

@@ -284,7 +284,8 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Lib
                 reasons[spec.key] = "the joint slides, or hardly moves the measured point"
                 continue
             scope = Scope(arm, joint) if rows is None else Scope(arm, joint, rows.postures, rows.conditions)
-            tried, blocks = [*product(*[setting.scan(scope) for setting in cls.settings.values()])], list[Block]()
+            scans = [setting.scan(scope) for setting in cls.settings.values()]
+            tried, blocks = [*product(*scans)], list[Block]()
             for chosen in tried:
                 entry = replace(spec, values=dict(zip(cls.settings, chosen, strict=True)))
                 block = Block.of(arm, entry, cls.prior / len(tried), kinds)

@@ -179,7 +179,8 @@ class HeldOut:
         if rows.marker is not None and data.marker_names:
             number = {name: k for k, name in enumerate(data.marker_names)}
             changes["marker"] = np.array([number.get(name, 0) for name in rows.marker.tolist()], dtype=float)
-        elsewhere = not {*rows.marker_names} <= {*data.marker_names} or transfer in (SESSION, OTHER_ROWS)
+        renamed = not {*rows.marker_names} <= {*data.marker_names}
+        elsewhere = renamed or transfer in (SESSION, OTHER_ROWS)
         return cls(rows, replace(rows.conditions, **changes), transfer, elsewhere)
 
     def residuals(self, base: Fitted, model: Fitted) -> tuple[Array, Array, tuple[str, ...]]:
@@ -310,7 +311,8 @@ def predicted_from_others(
     part, local = problem.of(blocks), {b: k for k, b in enumerate(blocks)}
     pairs = [[(local[b], size) for b, size in one.key if b in local] for one in sets]
     # the prior of a set is what its odds have beyond its likelihood with all rows
-    priors = [np.log(one.probability) - (s := problem.products.state(one.key)).ratio - s.signed for one in sets]
+    whole = [problem.products.state(one.key) for one in sets]
+    priors = [np.log(one.probability) - state.ratio - state.signed for one, state in zip(sets, whole, strict=True)]
     # (m d, ..) the base's columns, orthonormal when white, the others, and y: in mm, and white
     back, (m, d) = spectrum(at.jacobian[:, base], at.model.scales[base]).root, y.shape
     columns = [c[kept].reshape(m * d, -1) @ root for c, root in zip(part.columns, part.roots, strict=True)]

@@ -314,9 +314,10 @@ class Diagnosis(Documented):
     def confirmed(self) -> bool | None:
         """Whether the hold-out confirms the verdict; None without one, if it has too few rows, or if what is left of
         the data or of the hold-out is more than the given sigma explains: then more is missing than was found."""
-        if (test := self.confirmation) is None or not test.confirmed:
-            return None if test is None else test.confirmed
-        return None if test.beyond_sigma or (self.misfit is not None and self.misfit.significant) else True
+        if (test := self.confirmation) is None:
+            return None
+        unexplained = test.beyond_sigma or (self.misfit is not None and self.misfit.significant)
+        return None if test.confirmed and unexplained else test.confirmed
 
     def extended_arm(self, candidate: Candidate | None = None, in_sessions: bool = False) -> Arm:
         """The arm with the effects of the predicting model (or of `candidate`) added, calibrated by it: all estimates,
@@ -353,7 +354,8 @@ class Diagnosis(Documented):
             if fit.covariance is None:
                 raise InputError("diagnosis: a candidate has no covariance, allowed: the result of diagnose()")
             order = [fit.parameter_names.index(name) for name in model.names]
-            yield *model.linearize(postures, None, conditions), fit.covariance[np.ix_(order, order)], model.scales
+            predicted = model.linearize(postures, None, conditions)
+            yield *predicted, fit.covariance[np.ix_(order, order)], model.scales
 
     @property
     def needs(self) -> frozenset[str]:

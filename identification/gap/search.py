@@ -199,7 +199,8 @@ class Search:
             if not self.givers[inside].any():
                 barred |= ~self.givers if self.needy[inside].any() else self.needy
             prior[barred], prior[inside] = -np.inf, -np.inf
-            of_size = np.where(self.counted[:, None], log_odds_of_sizes(self._sizes(left))[1], -np.log(len(SIZES)))
+            alike = log_odds_of_sizes(self._sizes(left))[1]
+            of_size = np.where(self.counted[:, None], alike, -np.log(len(SIZES)))
             self._tables[left.key] = self.products.added(left) + prior[:, None] + of_size
         return self._tables[left.key]
 

@@ -188,7 +188,6 @@ class Readings:
 
 
 # -- the search --------------------------------------------------------------------------------------------------------
-@lru_cache(maxsize=8)  # asked for before a fit, and again for its warnings, of the arm that was placed for it
 def read_differently(arm: Arm, measurements: Measurements, *, search: bool = True) -> Readings:
     """Look for another way to read the columns that explains the positions clearly better (`CLEARLY`).
 
@@ -203,9 +202,13 @@ def read_differently(arm: Arm, measurements: Measurements, *, search: bool = Tru
     require(measurements.links == arm.links, f"measurements: {joints}")
     # as drawn, where it stands left open, and in space what is measured on it
     chain = replace(type(arm.chain)(arm.chain.joints, arm.chain.end), settled=arm.chain.drawn & {TOOL})
-    as_drawn = replace(arm, chain=replace(chain, instrument=arm.chain.instrument.without_targets()))
-    if as_drawn != arm:  # once for all arms of one drawing
-        return read_differently(as_drawn, measurements, search=search)
+    chain = replace(chain, instrument=arm.chain.instrument.without_targets())
+    return _of_drawing(replace(arm, chain=chain), measurements, search)
+
+
+@lru_cache(maxsize=4)  # asked for before a fit, and again for its warnings, of the arm that was placed for it
+def _of_drawing(arm: Arm, measurements: Measurements, search: bool) -> Readings:
+    """`read_differently` of an arm as drawn."""
     chain, kinds, (q, x, few) = arm.chain, arm.joint_types, _rows(arm, measurements)
     slides, frames_at = np.array([kind == PRISMATIC for kind in kinds]), chain.frames_at({})
     turning, mirrors = np.flatnonzero(~slides).tolist(), chain.instrument.reads_positions
