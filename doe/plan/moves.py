@@ -337,13 +337,14 @@ def drive(
     blocked = unproven(problem.constraints, whole.postures) if unreached or stop() else []
     data["moves"] = {"vias": vias, "replaced": changed, "shortest_deg": min(shortest), "approach": approach}
     data["moves"] |= {"no_approach": no_approach, "not_free": blocked, "rows": rows_of(moves)}
-    times, named = after / (min(shortest) or after or 1.0), ", ".join(map(str, no_approach))
+    times, named = after / (min(shortest) or after or 1.0), f"run{'s' * (len(no_approach) != 1)} "
+    named += ", ".join(map(str, no_approach))
     how = "both ways, half of the runs each" if approach == "alternate" else f"in {approach} direction"
     were = f"{count_of(changed, 'posture')} {'was' if changed == 1 else 'were'} replaced"
     for true, sentence in (
         (True, f"Moves: {count_of(vias, 'way-point')}, {times:.2f} times {WAY}"),
         (approach != "any", f"every joint comes to each posture {how}; plan and bound leave room for it at the limits"),
-        (no_approach, f"but not to run {named}: no free way was found there from that side"),
+        (no_approach, f"but not to {named}: no free way was found there from that side"),
         (changed, f"{were}: no free way led there from the others"),
     ):
         lines += [sentence] if true else []

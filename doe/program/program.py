@@ -41,8 +41,8 @@ LANGUAGES = {
     "fanuc": ("fanuc.ls.j2", "deg", "mm", 1, 6),
     "ros": ("ros.yaml.j2", "rad", "m", 1, 99),
 }
-# what templates and their files fail with, beside what jinja finds
-FAILURES = ArithmeticError, AttributeError, LookupError, OSError, RecursionError, TypeError, ValueError
+# what templates fail with, beside what jinja finds
+FAILURES = ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError
 # of [deg] and [mm], and digits: to 1e-7 deg and 1e-6 mm nothing is lost, and no exponent is needed
 UNITS = {"rad": (np.radians(1.0), 9), "deg": (1.0, 6), "m": (1e-3, 9), "mm": (1.0, 6)}
 
@@ -155,9 +155,13 @@ def program(
     written = template or Path(__file__).with_name(file)
     try:
         text = environment.from_string(written.read_text("utf-8-sig")).render(variables)
+    except OSError as error:
+        raise InputError(f"{written}: cannot be read ({error.strerror}), allowed: a file that can") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{written}: is not UTF-8, allowed: a text file in UTF-8") from None
     except (TemplateError, *FAILURES) as error:
         where = f"{written}: line {error.lineno}" if hasattr(error, "lineno") else written
-        allowed = f"allowed: a jinja template in UTF-8 of the variables {', '.join(variables)}"
+        allowed = f"allowed: a jinja template of the variables {', '.join(variables)}"
         raise InputError(f"{where}: {error}, {allowed}") from None
     return Program(text, identifier, rows, departures[-1] / 1000.0, not_free)
 

@@ -287,4 +287,4 @@ def test_a_template_that_does_not_work_takes_one_line(text: str, said: str, tmp_
     message = refusal(LIMITED, "ur", template=tmp_path / "bad.j2")
     assert message.startswith(str(tmp_path / "bad.j2"))
     assert said in message
-    assert "allowed: a jinja template in UTF-8 of the variables name, title, robot, speed" in message
+    assert "allowed: a jinja template of the variables name, title, robot, speed" in message
