@@ -475,23 +475,22 @@ def program_files(
         raise InputError(f"{plan}: found weights, allowed: an exact plan, each row a measurement or a way-point")
     options: dict[str, Any] = {"speed": speed, "settle": settle, "name": out.stem, "template": template}
     with InputError.at(plan, "--", str(template)):
-        made = program(loaded, file, robot, **options)
+        text, made = program(loaded, file, robot, **options)
     runs, vias = len(file.measured), len(file) - len(file.measured)
-    data = {"robot": robot, "runs": runs, "vias": vias, **made._asdict()}
-    text = data.pop("text")
     counted = f"{count_of(runs, 'run')} and {count_of(vias, 'way-point')}"
     first = "nobody looked at the move to the first row: try it slowly"
-    sentence = f"{counted}, about {made.seconds / 60.0:.1f} min without measuring; {first}"
+    sentence = f"{counted}, about {made['seconds'] / 60.0:.1f} min without measuring; {first}"
     headings = ["", *file.headings, "after [s]"]
-    rows = [[m["kind"], *(f"{q:.3f}" for q in m["joints"]), f"{m['seconds']:.0f}"] for m in made.moves]
-    doubts = in_sentences(made.not_free)
-    if robot == "kuka" and made.name.lower() != out.stem.lower():
-        doubts.append(f"{out}: a KUKA takes a program from a file of its name only: {made.name}.src")
+    rows = [[m["kind"], *(f"{q:.3f}" for q in m["joints"]), f"{m['seconds']:.0f}"] for m in made["moves"]]
+    doubts = in_sentences(made["not_free"])
+    if robot == "kuka" and made["name"].lower() != out.stem.lower():
+        doubts.append(f"{out}: a KUKA takes a program from a file of its name only: {made['name']}.src")
     if elsewhere := file.from_elsewhere:
         named = f"run{'s' * (len(elsewhere) != 1)} {', '.join(map(str, elsewhere))}"
         doubts.append(f"Joints come to {named} from other sides than direction1.. of {plan} say, in want of way-points")
     document = Document(parts=[sentence, Sheet(headings, rows, most=60), *doubts])
-    answer = Answer(data, document, warnings=[line.strip() for line in doubts], files={out: ("program", text)})
+    data, said = {"robot": robot, "runs": runs, "vias": vias, **made}, [line.strip() for line in doubts]
+    answer = Answer(data, document, warnings=said, files={out: ("program", text)})
     return with_collisions(answer, DesignProblem.of(loaded), file.measured)
 
 

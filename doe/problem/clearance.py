@@ -62,25 +62,21 @@ class Clearance:
         # pieces are capsules, then boxes
         owner = np.concatenate([np.repeat(range(len(names)), [*map(len, each)]) for each in parts])
         capsules, self._boxes = map(np.concatenate, parts)
-        self._capsules, still = len(capsules), np.zeros(len(self._boxes), dtype=np.intp)
-        self._ends, self._radii = np.stack([capsules[:, :3], capsules[:, 3:6]]), np.r_[capsules[:, 6], 0.0 * still]
-        joint = np.array(joints)[owner[: self._capsules]]
-        self._frames = np.stack([np.r_[np.where(joint == tip, 0, joint), still], np.r_[joint, still]])  # of both ends
+        self._capsules, centers = len(capsules), self._boxes[:, :3]
+        self._ends = np.stack([np.concatenate([capsules[:, k : k + 3], centers]) for k in (0, 3)])
+        self._radii, joint = np.r_[capsules[:, 6], np.zeros(len(centers))], np.array(joints)[owner]
+        self._frames = np.stack([np.where(joint == tip, 0, joint), joint])  # of both ends
         pairs, pieces, always = list[tuple[str, str]](), list[tuple[int, int, int]](), list[bool]()
         unasked = cell.apart | {frozenset((cell.FLOOR, cell.SIGHT))}
-        for one in range(len(names)):
-            for other in range(one):
-                pair = names[one], names[other]
-                if joints[one] == joints[other] or frozenset(pair) in unasked:
-                    continue
-                first, second = (np.flatnonzero(owner == body).tolist() for body in (one, other))
+        for one, other in zip(*np.tril_indices(len(names), -1), strict=True):
+            first, second = (np.flatnonzero(owner == body).tolist() for body in (one, other))
+            pair = names[one], names[other]
+            if joints[one] != joints[other] and first and second and frozenset(pair) not in unasked:
                 pieces += [(len(pairs), a, b) for a in first for b in second]
-                if first and second:
-                    pairs.append(pair)  # what stands still is looked at wherever it is, but for what a tracker is in
-                    sight = names[one] == cell.SIGHT and not joints[other]
-                    always.append(sight and not holds(parts[0][other], parts[1][other], parts[0][one][0, :3]))
+                pairs.append(pair)  # what stands still is looked at wherever it is, but for what a tracker is in
+                sight = names[one] == cell.SIGHT and not joints[other]
+                always.append(sight and not holds(parts[0][other], parts[1][other], parts[0][one][0, :3]))
         self._pieces, self.pairs = np.array(pieces, dtype=int).reshape(-1, 3), tuple(pairs)
-        self._last: tuple[Any, ...] = (np.empty(0),)
         # of all pairs those that are looked at, by random postures: not those that always touch
         drawn = np.random.default_rng(0).uniform(model.lower, model.upper, (1000, len(model.lower)))
         apart = self.distance(drawn)
@@ -94,7 +90,7 @@ class Clearance:
         self.asked = np.minimum(self.usual, np.where(largest > 0.0, 0.25 * largest, np.inf))[kept]
         self._pieces = self._pieces[kept[self._pieces[:, 0]]]
         self._pieces[:, 0] = np.unique(self._pieces[:, 0], return_inverse=True)[1]
-        self.count, self._last = len(self.pairs), (np.empty(0),)
+        self.count = len(self.pairs)
         self.of_sight = np.array([cell.SIGHT in pair for pair in self.pairs], dtype=bool)  # (k,)
 
     def levers(self) -> Array:
@@ -106,8 +102,7 @@ class Clearance:
         origins = self.model.joint_frames(np.stack([self.model.lower, self.model.upper]))[:, :, :3, 3]
         steps = np.linalg.norm(np.diff(origins, axis=1), axis=2).max(axis=0)  # constant but for sliding joints
         along, joints = np.r_[0.0, 0.0, np.cumsum(steps)], np.arange(1, len(steps) + 1)  # from joint 1 to each frame
-        size = np.pad(np.linalg.norm(self._ends, axis=2), ((0, 0), (0, len(self._boxes))))
-        far = np.max(along[self._frames] + size + self._radii, axis=0)
+        far = np.max(along[self._frames] + np.linalg.norm(self._ends, axis=2) + self._radii, axis=0)
         lengths = np.where(turns(self.model), np.maximum(far[:, None] - along[1:-1], 0.0), 1.0)
         (_, first), (_, second) = self._frames[:, self._pieces[:, 1:].T].swapaxes(0, 1)
         between = (joints > second[:, None]) & (joints <= first[:, None])
@@ -157,24 +152,19 @@ class Clearance:
         return [f"{why}: {', '.join(each)}." for why, each in whys if each]
 
     def _seen(self, postures: Array) -> tuple[Array, NDArray[np.intp]]:
-        """(m, k) distances of the pairs at postures (m, n), and numbers of the pairs of pieces that have them; kept for
-        the next question about the same ones.
+        """(m, k) distances of the pairs at postures (m, n), and numbers of the pairs of pieces that have them.
 
         The middle of an axis tells how far it is at most, and less half its length at least, which of most pairs of
         pieces tells that another is nearer.
         """
-        if np.array_equal(self._last[0], postures):
-            return self._last[1], self._last[2]
         m, placed, (pair, first, second) = len(postures), self._placed(postures)[1], self._pieces.T
         nearest, starts = np.empty((m, len(self.pairs)), dtype=np.intp), np.flatnonzero(np.diff(pair, prepend=-1))
         if not self.pairs:
             return np.empty((m, 0)), nearest
-        along, rods = placed[1] - placed[0], second < self._capsules
-        middle, half = placed[0] + 0.5 * along, np.pad(0.5 * length(along), ((0, 0), (0, len(self._boxes))))
-        between, box = middle[..., first[rods]] - middle[..., second[rods]], second[~rods] - self._capsules
-        most = np.empty((m, len(pair)))
-        most[:, rods] = length(between)
-        most[:, ~rods] = from_box(self._in_box(middle[..., first[~rods]], box), self._boxes[box, 12:].T[:, None])
+        middle, half = 0.5 * (placed[0] + placed[1]), 0.5 * length(placed[1] - placed[0])
+        walls, most = second >= self._capsules, length(middle[..., first] - middle[..., second])
+        box = second[walls] - self._capsules
+        most[:, walls] = from_box(self._in_box(middle[..., first[walls]], box), self._boxes[box, 12:].T[:, None])
         most -= self._radii[first] + self._radii[second]
         bound, exact = np.minimum.reduceat(most, starts, axis=1) + ROUNDING, np.full_like(most, np.inf)
         run, piece = np.nonzero(most - half[:, first] - half[:, second] <= bound[:, pair])
@@ -182,7 +172,6 @@ class Clearance:
         distance = np.minimum.reduceat(exact, starts, axis=1)
         run, piece = np.nonzero(exact == distance[:, pair])
         nearest[run, pair[piece]] = piece
-        self._last = postures.copy(), distance, nearest
         return distance, nearest
 
     def _placed(self, postures: Array) -> tuple[Array, Array]:
@@ -190,7 +179,7 @@ class Clearance:
         all capsules in that of the base."""
         base = np.broadcast_to(np.eye(4), (len(postures), 1, 4, 4))
         frames = np.concatenate([base, self.model.joint_frames(postures)], axis=1)
-        moved, ones = frames[:, self._frames[:, : self._capsules], :3], np.ones((2, self._capsules, 1))
+        moved, ones = frames[:, self._frames, :3], np.ones((*self._frames.shape, 1))
         return frames, np.einsum("mekij,ekj->eimk", moved, np.dstack([self._ends, ones]))
 
     def _in_box(self, points: Array, box: NDArray[np.intp]) -> Array:
@@ -219,7 +208,8 @@ class Clearance:
     # -- derivatives, as `doe.problem.constraints.Derivatives` has those of expressions --------------------------------
     def first(self, postures: Array) -> tuple[Array, Array]:
         """(m, k) margins and their derivatives (m, n, k) by the joints."""
-        return self.margin(postures), self._slopes(postures, self._seen(postures)[1])
+        distance, nearest = self._seen(postures)
+        return distance - self.asked, self._slopes(postures, nearest)
 
     def bend(self, postures: Array, weights: Array) -> Array:
         """(m, n, n) Hessians of the sums with weights (m, k): differences of the gradients of the same pieces."""

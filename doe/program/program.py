@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -47,22 +47,6 @@ FAILURES = ArithmeticError, AttributeError, LookupError, RecursionError, TypeErr
 UNITS = {"rad": (np.radians(1.0), 9), "deg": (1.0, 6), "m": (1e-3, 9), "mm": (1.0, 6)}
 
 
-class Program(NamedTuple):
-    """What a controller runs, and for a dry run what that does.
-
-    moves : of each its `kind` (`measure` or `via`), the `run` that is measured there, None at a way-point, the `joints`
-        in deg or mm, and the `seconds` from the start at which it arrives
-    seconds : estimated duration, without the measurements
-    not_free : moves that may collide, as `unproven` has them; the program says so where they are
-    """
-
-    text: str
-    name: str
-    moves: list[dict[str, Any]]
-    seconds: float
-    not_free: list[dict[str, Any]]
-
-
 def program(
     arm: Arm,
     plan: Plan,
@@ -72,8 +56,9 @@ def program(
     settle: float = 2.0,
     name: str = "armcal",
     template: Path | None = None,
-) -> Program:
-    """The program for the rows of an exact plan, in their order, its way-points (`Plan.via`) among them.
+) -> tuple[str, dict[str, Any]]:
+    """The program for the rows of an exact plan, in their order, its way-points (`Plan.via`) among them; and what it
+    does, for a dry run, by the keys of files (identification/files/README.md, "JSON keys").
 
     robot : of `LANGUAGES`
     speed : [%] of the speed of joint moves;  settle : [s] from arrival to the measurement
@@ -163,7 +148,7 @@ def program(
         where = f"{written}: line {error.lineno}" if hasattr(error, "lineno") else written
         allowed = f"allowed: a jinja template of the variables {', '.join(variables)}"
         raise InputError(f"{where}: {error}, {allowed}") from None
-    return Program(text, identifier, rows, departures[-1] / 1000.0, not_free)
+    return text, {"name": identifier, "moves": rows, "seconds": departures[-1] / 1000.0, "not_free": not_free}
 
 
 def decimal(value: float, unit: float, digits: int) -> str:

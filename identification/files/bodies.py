@@ -196,40 +196,31 @@ class ShapedBodies(ByValue, Sequence[Body]):
     folders: tuple[str, ...]
     reach: float
 
-    @cached_property
-    def _bodies(self) -> tuple[Body, ...]:
-        drawn, _ = self._of_urdf
-        for name in {name for name, _, _ in drawn} & {name for name, _, _ in self.given}:
-            raise InputError(f"cell.bodies: the name {name!r} is that of a link of {self.path}, allowed: another name")
-        parts = dict[tuple[str, int], list[Shape]]()
-        for name, joint, shape in (*drawn, *self.given):
-            parts.setdefault((name, joint), []).append(shape)
-        return tuple(covered(*key, shapes, self.reach, key[0] == self.ends[0]) for key, shapes in parts.items())
-
     def __len__(self) -> int:
-        return len(self._bodies)
+        return len(self._read[0])
 
     def __getitem__(self, index: Any) -> Any:
-        return self._bodies[index]
+        return self._read[0][index]
 
     @property
     def unseen(self) -> tuple[str, ...]:
         """Links whose meshes are not found."""
-        return self._of_urdf[1]
+        return self._read[1]
 
     @cached_property
-    def _of_urdf(self) -> tuple[list[tuple[str, int, Shape]], tuple[str, ...]]:
-        if not self.urdf:
-            return [], ()
-        urdf, shapes, missing, loose = read_urdf(self.path, self.urdf), [], dict[str, str](), dict[str, None]()
-        for link, (joint, place, aside) in urdf.links_on(*self.ends).items():
-            for shape in collisions(urdf, link):
-                file = mesh_file(shape.file, self.folders) if shape.kind == "mesh" else ""
-                if file is None:
-                    missing[link] = shape.file
-                    continue
-                shapes.append((link, joint, replace(shape, place=place @ shape.place, file=str(file))))
-                loose |= {link: None} if aside else {}
+    def _read(self) -> tuple[tuple[Body, ...], tuple[str, ...]]:
+        parts, missing, loose = dict[tuple[str, int], list[Shape]](), dict[str, str](), dict[str, None]()
+        if self.urdf:
+            urdf = read_urdf(self.path, self.urdf)
+            for link, (joint, place, aside) in urdf.links_on(*self.ends).items():
+                for shape in collisions(urdf, link):
+                    file = mesh_file(shape.file, self.folders) if shape.kind == "mesh" else ""
+                    if file is None:
+                        missing[link] = shape.file
+                        continue
+                    placed = replace(shape, place=place @ shape.place, file=str(file))
+                    parts.setdefault((link, joint), []).append(placed)
+                    loose |= {link: None} if aside else {}
         if missing:
             links = ", ".join(missing) if len(missing) <= SHOWN else f"{len(missing)} links"
             state = f"meshes of {links} are not found ({next(iter(missing.values()))}): collisions are not looked at"
@@ -239,7 +230,12 @@ class ShapedBodies(ByValue, Sequence[Body]):
         if loose:
             drawn = "drawn where joints that are not the arm's stand at zero"
             warnings.warn(f"{self.path}: {', '.join(loose)}: {drawn}", UserWarning, stacklevel=2)
-        return shapes, tuple(missing)
+        for name in {name for name, _ in parts} & {name for name, _, _ in self.given}:
+            raise InputError(f"cell.bodies: the name {name!r} is that of a link of {self.path}, allowed: another name")
+        for name, joint, shape in self.given:
+            parts.setdefault((name, joint), []).append(shape)
+        bodies = (covered(*key, shapes, self.reach, key[0] == self.ends[0]) for key, shapes in parts.items())
+        return tuple(bodies), tuple(missing)
 
 
 def mesh_file(name: str, folders: Sequence[PathLike]) -> Path | None:
