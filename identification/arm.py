@@ -9,7 +9,6 @@ import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -19,7 +18,7 @@ from identification.arrays import Array, ByValue, readonly
 from identification.document import Document, Sheet, html
 from identification.errors import InputError, require
 from identification.kinematics import parameters
-from identification.kinematics.chain import KinematicChain, planar_chain
+from identification.kinematics.chain import NOTHING, KinematicChain, planar_chain
 from identification.kinematics.counting import Counting, JointKinds
 from identification.kinematics.frames import as_poses
 from identification.kinematics.parameters import GEOMETRY, JOINT_OFFSET, LENGTH_ERROR, MAX_LINKS, REVOLUTE
@@ -44,11 +43,6 @@ class Gravity(ByValue):
     center_of_mass: Array  # (n,) fraction of the link from its joint
     payload: float = 0.0  # [kg] at the tip
     payload_at: Array | None = None  # (3,) its center of mass in the tip's frame [mm]; None: at the measured point
-
-    def __post_init__(self) -> None:
-        for name in ("acceleration", "link_masses", "center_of_mass", "payload_at"):
-            if (value := getattr(self, name)) is not None:
-                object.__setattr__(self, name, readonly(value))
 
 
 @dataclass(frozen=True)
@@ -78,8 +72,7 @@ class ErrorCurve(ByValue):
     geometry: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "values", readonly(self.values, -1))
-        object.__setattr__(self, "geometry", MappingProxyType(dict(self.geometry)))
+        super().__post_init__()
         if not -np.inf < self.start < self.stop < np.inf:
             problem = f"{np.degrees(self.start):g} to {np.degrees(self.stop):g}"
             raise InputError(f"from_deg, to_deg: found {problem}, allowed: finite angles, the lower one first")
@@ -147,7 +140,7 @@ class EffectSpec(ByValue):
 
     name: str
     joint: int | None = None  # from 1
-    values: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))  # parameter -> value, API units
+    values: Mapping[str, float] = field(default_factory=dict)  # parameter -> value, API units
     curve: ErrorCurve | None = None
 
     @property
@@ -169,25 +162,24 @@ class Calibration(ByValue):
     values: Mapping[str, float]
     parameter_names: tuple[str, ...] = ()
     covariance: Array | None = None
-    provenance: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+    provenance: Mapping[str, Any] = field(default_factory=dict)
     base: Array | None = None
-    tools: Mapping[str, Array] = field(default_factory=lambda: MappingProxyType({}))
+    tools: Mapping[str, Array] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "tools", as_poses(self.tools))
-        object.__setattr__(self, "values", MappingProxyType({k: float(v) for k, v in self.values.items()}))
-        if self.covariance is not None:
-            object.__setattr__(self, "covariance", readonly(self.covariance))
+        object.__setattr__(self, "values", {name: float(value) for name, value in self.values.items()})
+        super().__post_init__()
 
     @classmethod
     def of(
         cls,
         length_errors: ArrayLike,
         joint_offsets: ArrayLike,
-        effects: Mapping[str, float] = MappingProxyType({}),
+        effects: Mapping[str, float] = NOTHING,
         parameter_names: tuple[str, ...] = (),
         covariance: Array | None = None,
-        provenance: Mapping[str, Any] = MappingProxyType({}),
+        provenance: Mapping[str, Any] = NOTHING,
     ) -> Calibration:
         """From (n,) length errors [mm] and (n,) joint offsets [rad] of a planar arm, and values of its effects. Raises
         `InputError` if the two differ in number."""

@@ -6,7 +6,6 @@ import copyreg
 from collections.abc import Mapping
 from dataclasses import fields
 from itertools import accumulate
-from numbers import Real
 from types import MappingProxyType
 from typing import Any
 
@@ -34,38 +33,41 @@ def readonly(values: ArrayLike, *shape: int) -> Array:
     return array
 
 
-class ByValue:
+class ReadOnly:
+    """Base of frozen dataclasses: what a field declares as `Array` or as `Mapping` is a copy that cannot be changed."""
+
+    def __post_init__(self) -> None:
+        data: Any = self
+        for each in fields(data):
+            kind, value = str(each.type), getattr(self, each.name)
+            if kind.startswith("Array") and value is not None:
+                is_copy = isinstance(value, np.ndarray) and not value.flags.writeable
+                object.__setattr__(self, each.name, value if is_copy else readonly(value))
+            elif kind.startswith("Mapping"):
+                object.__setattr__(self, each.name, MappingProxyType(dict(value)))
+
+
+class ByValue(ReadOnly):
     """Base of frozen dataclasses that hold arrays or mappings: equal if class and fields are, to the last bit."""
 
     def __eq__(self, other: object) -> bool:
-        if type(self) is not type(other):
-            return NotImplemented
-        return all(map(_same, _values(self), _values(other)))
+        return _contents(self) == _contents(other) if type(self) is type(other) else NotImplemented
 
     def __hash__(self) -> int:
-        return hash((type(self), *map(_hashable, _values(self))))
+        return hash((type(self), _contents(self)))
 
 
-def _values(data: Any) -> list[Any]:
-    return [getattr(data, each.name) for each in fields(data)]
-
-
-def _same(one: Any, other: Any) -> bool:
-    if one is other:
-        return True
-    if isinstance(one, np.ndarray) or isinstance(other, np.ndarray):
-        return one is not None and other is not None and np.array_equal(one, other)
-    if isinstance(one, Mapping) and isinstance(other, Mapping):
-        return one.keys() == other.keys() and all(map(_same, one.values(), map(other.get, one)))
-    return bool(one == other)
+def _contents(data: Any) -> tuple[Any, ...]:
+    """Of the fields of a dataclass what is equal for equal values, and hashable."""
+    return tuple(_hashable(getattr(data, each.name)) for each in fields(data))
 
 
 def _hashable(value: Any) -> Any:
-    """Equal for equal values; of an array shape and (effort) first 50 numbers, of a mapping keys, numbers, arrays."""
+    if isinstance(value, np.ndarray):
+        return value.shape, *value.ravel().tolist()
     if isinstance(value, Mapping):
-        numbers = {key: held for key, held in value.items() if isinstance(held, Real | np.ndarray)}
-        return frozenset(value), frozenset(zip(numbers, map(_hashable, numbers.values()), strict=True))
-    return (value.shape, *value.flat[:50].tolist()) if isinstance(value, np.ndarray) else value
+        return frozenset((key, _hashable(held)) for key, held in value.items())
+    return tuple(map(_hashable, value)) if isinstance(value, list) else value
 
 
 def slices(sizes: Mapping[str, int]) -> dict[str, slice]:

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import chdtri
 
 from identification.arm import Arm, Calibration
-from identification.arrays import Array, readonly, rows_in_words
+from identification.arrays import Array, ReadOnly, rows_in_words
 from identification.document import Document, Documented, Sheet, number
 from identification.errors import InputError, require
 from identification.files.csv import csv_text
@@ -166,7 +166,7 @@ def miss_text(error: float) -> str:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Compensation(Documented):
+class Compensation(Documented, ReadOnly):
     """Joint commands for k targets.
 
     arm : the calibrated arm
@@ -192,10 +192,6 @@ class Compensation(Documented):
     sided: tuple[str, ...] = ()
     tolerance: float = TOLERANCE
     assumed: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        for name in ("targets", "commands", "errors"):
-            object.__setattr__(self, name, readonly(getattr(self, name)))
 
     @property
     def near(self) -> NDArray[np.bool_]:

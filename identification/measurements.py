@@ -16,7 +16,6 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from hashlib import blake2b
 from itertools import pairwise
-from types import MappingProxyType
 from typing import Any, Self
 
 import numpy as np
@@ -245,7 +244,7 @@ class Measurements(ByValue):
     gaps: Array | None = None
     reference: float | None = None
     fit: str = ""
-    provenance: MappingProxyType[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+    provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         m = n = 0
@@ -276,6 +275,7 @@ class Measurements(ByValue):
             array = array.astype(np.int64) if name == "repeats" else array
             array.setflags(write=False)
             object.__setattr__(self, name, array)
+        super().__post_init__()
 
     def __len__(self) -> int:
         return len(self.postures)
@@ -484,7 +484,7 @@ def pooled_sessions(tables: Mapping[str, Measurements]) -> Measurements:
     origins = {key: [str(p.provenance[key]) for p in parts if key in p.provenance] for key in ("file", "sha256")}
     provenance: dict[str, Any] = {"file": ", ".join(origins["file"])} if origins["file"] else {}
     provenance |= {"sha256": origins["sha256"]} if origins["sha256"] else {}
-    return Measurements(**joined, provenance=MappingProxyType(provenance))
+    return Measurements(**joined, provenance=provenance)
 
 
 # -- which rows --------------------------------------------------------------------------------------------------------

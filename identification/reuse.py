@@ -8,7 +8,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -124,7 +123,7 @@ def with_data_of(calibration: Calibration, before: Calibration | None, kinds: Se
         turns = np.where(np.array(kinds) == REVOLUTE, TURN * np.round((old - new).mean(axis=0) / TURN), 0.0)
         both = np.minimum(old[0], new[0] + turns), np.maximum(old[1], new[1] + turns)
         provenance |= joint_range(np.array(both), kinds)
-    return replace(calibration, provenance=MappingProxyType(provenance))
+    return replace(calibration, provenance=provenance)
 
 
 # -- an earlier calibration as the prior -------------------------------------------------------------------------------

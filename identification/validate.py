@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from identification.arm import Arm
-from identification.arrays import Array, readonly
+from identification.arrays import Array, ReadOnly
 from identification.document import Document, Documented
 from identification.documents import identification as shown
 from identification.errors import InputError
@@ -58,7 +58,7 @@ def figures_of(residuals: Array) -> Figures:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Validation(Documented):
+class Validation(Documented, ReadOnly):
     """What a calibrated model leaves of other measurements, beside the drawing.
 
     refit : what was refitted, `base`, `offsets` or `none`, in each session separately
@@ -74,10 +74,6 @@ class Validation(Documented):
     residuals: Array
     nominal_residuals: Array
     left_open: int = 0
-
-    def __post_init__(self) -> None:
-        for name in ("residuals", "nominal_residuals"):
-            object.__setattr__(self, name, readonly(getattr(self, name)))
 
     # over all rows, of the calibrated model, and of the drawing, refitted in the same way
     model = property(lambda self: figures_of(self.residuals))

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
-from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
@@ -188,7 +187,7 @@ def _identification(problem: Problem, data: Measurements, solution: Solution, ro
         residuals_after=after,
         method=problem.method,
         status=Status.implausible if implausible else status,
-        provenance=MappingProxyType(data.origin | joint_range(data.postures, model.joint_types)),
+        provenance=data.origin | joint_range(data.postures, model.joint_types),
         uncertainty=made,
         scatter=scatter,
         doubts=(*sentences, *far_rows(after, data, getattr(model, "arm", None), outlier, structure)),

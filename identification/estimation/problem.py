@@ -14,7 +14,6 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
-from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -61,7 +60,8 @@ class Prior(ByValue):
             for name, value in named.items():
                 require(0.0 < value < np.inf, f"prior: {name} has {what} {value:g}, allowed: a finite number > 0")
         independent = {name: deviation for name, deviation in self.deviations.items() if name not in of_earlier}
-        object.__setattr__(self, "deviations", MappingProxyType(independent))
+        object.__setattr__(self, "deviations", independent)
+        super().__post_init__()
 
     @property
     def names(self) -> frozenset[str]:

@@ -13,7 +13,6 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from math import remainder
 from operator import attrgetter
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from identification.arm import Arm, Calibration
-from identification.arrays import Array, readonly
+from identification.arrays import Array, ReadOnly, readonly
 from identification.document import Documented
 from identification.documents import identification as shown
 from identification.errors import InputError
@@ -68,7 +67,7 @@ Values = Mapping[str, float]  # parameter name -> value [API unit]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Identification(Documented):
+class Identification(Documented, ReadOnly):
     """Estimated parameters of a model, in the order of `model.parameters` and in API units [mm, rad].
 
     parameters : (p,)
@@ -111,12 +110,7 @@ class Identification(Documented):
     machining_factor: float | None = None
     held: frozenset[str] = frozenset()
     contradiction: Contradiction | None = None
-    provenance: MappingProxyType[str, Any] = field(default_factory=lambda: MappingProxyType({}))
-
-    def __post_init__(self) -> None:
-        for name in ("parameters", "residuals_before", "residuals_after", "postures"):
-            object.__setattr__(self, name, readonly(getattr(self, name)))
-        self.identifiable.setflags(write=False)
+    provenance: Mapping[str, Any] = field(default_factory=dict)
 
     # -- parameters and their uncertainty --------------------------------------------------------------------------
     names = property(attrgetter("model.names"))  # (p) of the parameters
@@ -221,8 +215,7 @@ class Identification(Documented):
         cov = self.covariance if np.all(np.isfinite(self.covariance)) else None
         figures = {k: v for k, v in self._summary().items() if v is not None and k not in NOT_KEPT.split()}
         freedom = freedom_kept(self.names, self.uncertainty.freedom)
-        provenance = MappingProxyType({**self.provenance, **figures, **freedom})
-        whole = Calibration(self.values, self.names, cov, provenance)
+        whole = Calibration(self.values, self.names, cov, {**self.provenance, **figures, **freedom})
         calibration = whole.about(np.array(self.names)[self.identifiable])
         return calibration if self.geometry is None else replace(calibration, **self.geometry.places)
 

@@ -13,7 +13,6 @@ import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -274,7 +273,7 @@ def _effects(tables: Sequence[EffectTable], chain: KinematicChain, heavy: bool) 
             except InputError as error:
                 raise InputError(f"effects[{k}].{error}") from None
         chosen = {key: value for key, value in table.__pydantic_extra__.items() if key in settings}
-        specs.append(EffectSpec(table.name, table.joint, MappingProxyType(chosen), curve))
+        specs.append(EffectSpec(table.name, table.joint, chosen, curve))
     effects, instrument = _built(specs, chain), chain.instrument
     state = f"an [instrument] of kind {instrument.kind}" if instrument.kind else "no [instrument] table"
     for k, ((spec, effect), table) in enumerate(zip(effects, tables, strict=True), start=1):
@@ -298,7 +297,7 @@ def _effects(tables: Sequence[EffectTable], chain: KinematicChain, heavy: bool) 
         if curve is not None and table.geometry:  # that was fitted with it
             fitted = _named(_fitted_with(table.geometry, chain), effects, table.geometry, f"effects[{k}].geometry")
             curve = replace(curve, geometry={p.name: table.geometry[p.file_name] / p.to_file for p in fitted})
-        effects[k - 1] = replace(spec, values=MappingProxyType(values), curve=curve), effect
+        effects[k - 1] = replace(spec, values=values, curve=curve), effect
     return effects
 
 
@@ -330,7 +329,7 @@ def _calibration(
     if table.covariance is not None:
         covariance = np.array(table.covariance).reshape(len(order), len(order)) * np.outer(factors, factors)
     names = tuple(p.name for p in order)
-    return Calibration(in_api, names, covariance, MappingProxyType(dict(provenance)), base, tools), chain
+    return Calibration(in_api, names, covariance, provenance, base, tools), chain
 
 
 # -- the drawing that a file names -------------------------------------------------------------------------------------

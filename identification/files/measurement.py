@@ -12,7 +12,6 @@ import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -81,7 +80,7 @@ def load_measurements(path: PathLike, links: int | Arm | None = None) -> Measure
         orientations=read_orientations(table) if poses else None,
         commanded=read_postures(table, kinds, "commanded") if _joint_columns(table, "commanded") else None,
         fit=table.fit,
-        provenance=MappingProxyType({"file": Path(path).name, "sha256": table.sha256}),
+        provenance={"file": Path(path).name, "sha256": table.sha256},
         **conditions,
     )
     if order is not None and np.all(order == np.round(order)):  # it counts measurements, not all of which are there
@@ -286,10 +285,9 @@ class Plan(ByValue):
     conditions: Mapping[str, Array | None] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "postures", readonly(np.atleast_2d(self.postures)))
+        object.__setattr__(self, "postures", np.atleast_2d(self.postures))
         object.__setattr__(self, "joint_types", JointKinds(self.joint_types or (REVOLUTE,) * self.links))
-        if self.weights is not None:
-            object.__setattr__(self, "weights", readonly(self.weights))
+        super().__post_init__()
 
     def __len__(self) -> int:
         return len(self.postures)

@@ -98,8 +98,8 @@ class Joint(ByValue):
         kinds, length = (REVOLUTE, PRISMATIC), float(np.linalg.norm(self.axis))
         require(self.type in kinds, f"joint {self.name}: type {self.type!r}, allowed: {' or '.join(kinds)}")
         require(length > 0.0, f"joint {self.name}: axis {np.asarray(self.axis).tolist()}, allowed: not zero")
-        object.__setattr__(self, "origin", readonly(self.origin))
-        object.__setattr__(self, "axis", readonly(np.asarray(self.axis, dtype=float) / length))
+        object.__setattr__(self, "axis", np.asarray(self.axis, dtype=float) / length)
+        super().__post_init__()
 
     def moved(self, frame: Frame, q: ca.SX) -> Frame:
         """The joint's frame after it moved by q [rad, mm]: turned so that its own z axis is the joint's, which is one
@@ -142,9 +142,8 @@ class KinematicChain(ByValue):
     projection: ClassVar[str | None] = "3d"  # of the axes (matplotlib) that it is drawn in
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "end", readonly(self.end))
-        object.__setattr__(self, "base", readonly(self.base))
         object.__setattr__(self, "tools", as_poses(self.tools))
+        super().__post_init__()
 
     def __len__(self) -> int:
         return len(self.joints)
