@@ -12,14 +12,14 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from identification.arrays import Array, ByValue, readonly
 from identification.document import Document, Sheet, html
 from identification.errors import InputError, require
 from identification.kinematics import parameters
 from identification.kinematics.chain import NOTHING, KinematicChain, planar_chain
-from identification.kinematics.counting import Counting, JointKinds
+from identification.kinematics.counting import Counting, JointKinds, range_of, turned_into
 from identification.kinematics.frames import as_poses
 from identification.kinematics.parameters import GEOMETRY, JOINT_OFFSET, LENGTH_ERROR, MAX_LINKS, REVOLUTE
 from identification.workspace import Cell, ColumnLimits, WorkspaceConstraint
@@ -32,6 +32,7 @@ SIGMA_RANGE = (1e-9, LARGEST)  # [mm]
 
 FEWEST = 4  # nodes of an error curve
 DIAGNOSED = "armcal diagnose"  # `source` of the calibrations that it writes
+FREEDOM = "interval_dof"  # key of a calibration's provenance
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,6 +207,13 @@ class Calibration(ByValue):
         scatter = self.provenance.get("scatter_mm")
         return scatter if isinstance(scatter, float) and SIGMA_RANGE[0] <= scatter <= SIGMA_RANGE[1] else None
 
+    @property
+    def freedom(self) -> Array:
+        """(p,) degrees of freedom of the variances of its `parameter_names`; infinite where it does not say."""
+        kept = self.provenance.get(FREEDOM)
+        stated = [kept.get(name) if isinstance(kept, Mapping) else kept for name in self.parameter_names]
+        return np.array([x if isinstance(x, int | float) and x > 0.0 else np.inf for x in stated], dtype=float)
+
     def about(self, names: Iterable[str]) -> Calibration:
         """All values, with the covariance of these parameters only."""
         chosen = set(names)
@@ -319,6 +327,26 @@ class Arm(ByValue):
             j = tied.joint - 1
             limits[:, j] = np.sort(counting.sign[j] * np.array([tied.lower, tied.upper]) + counting.zero[j])
         return limits[0], limits[1]
+
+    @property
+    def provenance(self) -> Mapping[str, Any]:
+        """What its calibration says of the data it comes from."""
+        return {} if self.calibration is None else self.calibration.provenance
+
+    def require_calibrated(self, file: str | None = None) -> None:
+        """Raises `InputError` where it has neither a calibration nor known effect values;  file : that it is from"""
+        lacks = "calibration: the arm has none" if file is None else f"{file}: has no [calibration]"
+        has = self.calibration is not None or any(spec.values for spec in self.effects)
+        require(has, f"{lacks}, allowed: an arm file written by `armcal identify --out`")
+
+    def outside(self, postures: Array) -> NDArray[np.bool_] | None:
+        """(m, n) True where a joint is outside the angles of the identification, whole turns aside; None: not known."""
+        if (limits := range_of(self.provenance, self.joint_types)) is None:  # (2, n) [rad, mm]
+            return None
+        (lower, upper), read = limits, np.radians(1e-6)  # what the digits of a file take from an angle
+        q = turned_into(postures, lower, upper, self.joint_types, read)
+        room = read * np.maximum(1.0, np.abs(limits))  # a file has nine digits: of a slide's millimetres fewer decimals
+        return (q < lower - room[0]) | (q > upper + room[1])
 
     @property
     def payload(self) -> float:

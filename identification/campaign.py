@@ -14,8 +14,8 @@ from identification.estimation.result import corrected_values, dh_lines
 from identification.files.arm import load_arm
 from identification.files.csv import read_table
 from identification.files.measurement import Plan, is_plan, load_measurements
-from identification.measurements import MOST, Measurements
-from identification.provenance import diagnosed, provenance_of, share_fitted
+from identification.measurements import MOST, Measurements, share_fitted
+from identification.model import Model
 from identification.reuse import same_drawing
 from identification.validate import Validation, validate
 
@@ -59,7 +59,7 @@ def campaign_document(
     # what each calibrated arm leaves of each set of measurements, those first that no arm says it was fitted to
     calibrated = {name: arm for name, arm in arms.items() if arm.calibration is not None}
     seen = {
-        rows: [name for name, arm in calibrated.items() if share_fitted(provenance_of(arm), measured) >= MOST]
+        rows: [name for name, arm in calibrated.items() if share_fitted(arm.provenance, measured) >= MOST]
         for rows, measured in measurements.items()
     }
     tests = {
@@ -104,7 +104,7 @@ def campaign_document(
         doubt = f"Do not use {model} as it is: on {' and '.join(worse)} it is no better than the drawing (see there)."
         actions = [Action(doubt), Action("See what all measurements together say, each file as a session:", pooled)]
     elif model:
-        actions = [*([] if diagnosed(calibrated[model]) else [look]), *([] if elsewhere else [hold]), use]
+        actions = [*([] if Model(calibrated[model]).complete else [look]), *([] if elsewhere else [hold]), use]
     elif measurements:
         actions = [Action("Identify the arm:", shown.identify_command(arm_file, data[0], fit)), look]
     else:

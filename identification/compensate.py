@@ -21,6 +21,7 @@ from scipy.special import chdtri
 from identification.arm import Arm, Calibration
 from identification.arrays import Array, ReadOnly, rows_in_words
 from identification.document import Document, Documented, Sheet, number
+from identification.documents.identification import extrapolated
 from identification.errors import InputError, require
 from identification.files.csv import csv_text
 from identification.files.measurement import angle_columns, posture_columns
@@ -32,7 +33,6 @@ from identification.levenberg_marquardt import Index, levenberg_marquardt, newto
 from identification.measurements import POINT, REMEMBERED, Conditions, directions_from_order, distances, past_from_order
 from identification.model import Model
 from identification.model.placed import in_own_frame
-from identification.provenance import check_calibrated, extrapolated, outside, provenance_of
 from identification.simulate import SERVO, servo_shift
 
 TOLERANCE = 1e-6  # [mm] a target is reached if the model comes this close; so near may a constraint be missed
@@ -71,7 +71,7 @@ def compensate(
 
     Raises `InputError` for an arm without calibration and for shapes or values that do not fit.
     """
-    check_calibrated(arm)
+    arm.require_calibrated()
     keeps_nominal = targets is None and orientations is None and arm.chain.angle_scale is not None
     posed, arm = orientations is not None or keeps_nominal, in_own_frame(arm)
     arm = replace(
@@ -98,12 +98,12 @@ def compensate(
         require(number == len(points), f"{name}: {number} rows for {len(points)} targets, allowed: as many")
     # where no posture gets to a target, as of an arm with fewer joints than coordinates, it counts as reached within
     # what one in a thousand of the calibration's own measurements may be off, by what the fit left and is unsure of
-    likely = math.hypot(*(provenance_of(arm).get(key) or 0.0 for key in ("rms_after_mm", "expected_tip_mm")))
+    likely = math.hypot(*(arm.provenance.get(key) or 0.0 for key in ("rms_after_mm", "expected_tip_mm")))
     tolerance = max(TOLERANCE, float(likely * np.sqrt(chdtri(arm.dimension, 1e-3) / arm.dimension)))
     goals = np.pad(points, ((0, 0), (0, model.dimension - arm.dimension)))  # of poses three zeros more
     # angles of the identification, moved by whole turns into the limits, and these, where those are not known
     familiar = limits = arm.lower, arm.upper
-    if (ends := range_of(provenance_of(arm), arm.joint_types)) is not None:
+    if (ends := range_of(arm.provenance, arm.joint_types)) is not None:
         middle = ends.mean(axis=0)
         turns = turned_into(middle[None], *limits, arm.joint_types)[0] - middle
         # 2 % of a joint's range at either end are left for the corrections of a posture
@@ -116,7 +116,7 @@ def compensate(
         where = where.afterwards(len(goals))
         assumed.append(f"{', '.join(once)}: the value at the end of the session of the identification is used")
     if where.temperature is None and (warm := [e.key for e in model.effects if "temperature" in e.needs]):
-        mean = provenance_of(arm).get("mean_temperature_C")
+        mean = arm.provenance.get("mean_temperature_C")
         at = "" if mean is None else f", {float(mean):.1f} deg C"
         assumed.append(f"{', '.join(warm)}: taken at the mean temperature of the identification{at}")
     if where.payload is None and (loaded := [e.key for e in model.effects if "gravity" in e.needs]):
@@ -208,7 +208,7 @@ class Compensation(Documented, ReadOnly):
     def outside(self) -> NDArray[np.bool_] | None:
         """(k, n) True where a joint is outside the angles of the identification, None: these are not known. Not where a
         constraint is missed: nobody drives there."""
-        out = outside(self.arm, self.commands)
+        out = self.arm.outside(self.commands)
         return None if out is None else out & (np.array(self.barred, dtype=str) == "")[:, None]
 
     @property
@@ -281,7 +281,7 @@ class Compensation(Documented, ReadOnly):
             "reached": int(np.count_nonzero(reached)),
             **{f"max_{key}": float(x[reached].max()) if reached.any() else None for key, x in self.misses.items()},
             "tolerance_mm": self.tolerance,
-            "model_rms_mm": provenance_of(self.arm).get("rms_after_mm"),
+            "model_rms_mm": self.arm.provenance.get("rms_after_mm"),
             "unreachable": (np.flatnonzero(~reached) + 1).tolist(),
             "warnings": self.warnings,
             "commands_deg": commands,
@@ -292,7 +292,7 @@ class Compensation(Documented, ReadOnly):
         """How many targets are reached and which are not, then joint commands for the first ones."""
         reached, near = self.reached, self.near
         verdict = f"{np.count_nonzero(reached)} of {len(self.targets)} targets reached by the calibrated model"
-        if (rms := provenance_of(self.arm).get("rms_after_mm")) is not None:
+        if (rms := self.arm.provenance.get("rms_after_mm")) is not None:
             verdict += f" (RMS {rms:.4g} mm on its own measurements)"
         if self.angles is not None and reached.any():
             most = float(np.degrees(np.max(self.angles[reached])))

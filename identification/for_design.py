@@ -208,24 +208,17 @@ class ArmModel(Model):
     def predicted_95(self, measurements: Measurements) -> tuple[Array, Array | None]:
         """(m, d) positions of a calibrated arm at measured postures, and how far their 95 % intervals reach by the
         covariance of its calibration; None: it has none."""
-        from identification.estimation.uncertainty import freedom_of, quantile_95
+        from identification.estimation.uncertainty import quantile_95
 
         positions, jacobian = self.linearize(measurements.postures, self.values, measurements.conditions)
         if (calibration := self.arm.calibration) is None or calibration.covariance is None:
             return positions, None
         place = [self.names.index(name) for name in calibration.parameter_names]
-        columns = jacobian[..., place] * quantile_95(freedom_of(calibration))
+        columns = jacobian[..., place] * quantile_95(calibration.freedom)
         squares = np.einsum("mdp,pq,mdq->md", columns, calibration.covariance, columns, optimize=True)
         return positions, np.sqrt(squares)
 
     # -- what may be missing ---------------------------------------------------------------------------------------
-    @property
-    def complete(self) -> bool:
-        """Whether nothing is missing: what the data of a diagnosed arm could show is in its model."""
-        from identification.provenance import diagnosed
-
-        return diagnosed(self.arm)
-
     def missing_effects(self, names: Sequence[str] | None, fastest: float) -> LibraryPrior:
         """Effects that the arm may have too, with their sizes;  names : of them, None: all;  fastest : order of the
         fastest wave of an error curve. Raises `InputError` for unknown names."""

@@ -504,6 +504,15 @@ def shared_rows(text: str, measurements: Measurements) -> tuple[float, float]:
     return shared / max(len(digests), 1), shared / max(len(kept), 1)
 
 
+def share_fitted(provenance: Mapping[str, Any], measurements: Measurements) -> float:
+    """Share of the measurements among the rows that a calibration of this provenance, or what it holds, was fitted to,
+    in whatever file; of an earlier version, which does not say which these are, all of its file."""
+    if isinstance(text := provenance.get(ROW_DIGESTS), str):
+        return shared_rows(text, measurements)[0]
+    ours, theirs = ({*np.atleast_1d(one.get("sha256", [])).tolist()} for one in (provenance, measurements.provenance))
+    return float(not ours.isdisjoint(theirs))
+
+
 def row_digests(postures: Array, positions: Array) -> set[bytes]:
     """Of postures (m, n) [rad, mm] and positions (m, d) [mm] to the nearest 1e-3 rad or mm: those written with three
     digits are still the same; what lies half way goes up, whatever its last bits are."""

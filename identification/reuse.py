@@ -18,15 +18,21 @@ from identification.errors import InputError, nearest, require
 from identification.estimation import Identification, estimate
 from identification.estimation.doubts import FALL, OTHER_FRAME, worth_freeing
 from identification.estimation.problem import Problem
-from identification.estimation.uncertainty import freedom_of
 from identification.information import product_inverse, spectrum
 from identification.kinematics.chain import BASE, ROTATION_ERROR, TOOL, TRANSLATION_ERROR
 from identification.kinematics.counting import TURN, joint_range, range_of
 from identification.kinematics.parameters import EFFECT, JOINT_OFFSET, LENGTH_ERROR, REVOLUTE
-from identification.measurements import MOST, ROW_DIGESTS, Measurements, digests_in, digests_text, shared_rows
+from identification.measurements import (
+    MOST,
+    ROW_DIGESTS,
+    Measurements,
+    digests_in,
+    digests_text,
+    share_fitted,
+    shared_rows,
+)
 from identification.model import Model
-from identification.model.placed import SESSIONS, with_base, with_markers
-from identification.provenance import HELD_FROM, provenance_of, share_fitted, without_prior_effects
+from identification.model.placed import SESSIONS, with_base, with_markers, without_prior_effects
 
 # word -> kinds of parameters
 KINDS: Mapping[str, tuple[str, ...]] = {
@@ -91,7 +97,7 @@ def with_held(fit: Identification, before: Calibration | None, measurements: Mea
         return fit
     held, model = before.about(names), fit.model
     whole = replace(model, held={name: value for name, value in (model.held or {}).items() if name not in names})
-    x, known = whole.parameters.vector(fit.values), freedom_of(before)
+    x, known = whole.parameters.vector(fit.values), before.freedom
     estimated, others = (np.array([whole.names.index(n) for n in each]) for each in (model.names, held.parameter_names))
     problem = Problem.of(whole, measurements)
     jacobian = problem.rows_about(x)[1]
@@ -113,8 +119,8 @@ def with_data_of(calibration: Calibration, before: Calibration | None, kinds: Se
         return calibration
     provenances, earlier = (calibration.provenance, before.provenance), before.provenance
     data = {key: earlier[key] for key in ("sha256", "rows") if key in earlier}
-    held_from = {**earlier.get(HELD_FROM, {}), str(earlier.get("file", "data")): data}
-    provenance: dict[str, Any] = {**calibration.provenance, HELD_FROM: held_from}
+    held_from = {**earlier.get("held_from", {}), str(earlier.get("file", "data")): data}
+    provenance: dict[str, Any] = {**calibration.provenance, "held_from": held_from}
     if kept := [one[ROW_DIGESTS] for one in provenances if isinstance(one.get(ROW_DIGESTS), str)]:
         provenance[ROW_DIGESTS] = digests_text(set().union(*map(digests_in, kept)))
     new, old = (range_of(one, kinds) for one in provenances)
@@ -190,7 +196,7 @@ def with_base_doubt(held: Identification, arm: Arm, words: Sequence[str], measur
     too."""
     frozen = set(held.model.held or ())
     once = [e.key for e in held.model.effects if e.once and not frozen.isdisjoint(p.name for p in e.parameters)]
-    if once and share_fitted(provenance_of(arm), measurements) < MOST:
+    if once and share_fitted(arm.provenance, measurements) < MOST:
         again = f"{', '.join(once)}: held, and so taken to happen again from the first of these rows to the last"
         held = replace(held, doubts=(*held.doubts, f"{again}; estimate it, too: --only {','.join([*once, *words])}"))
     try:

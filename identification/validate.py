@@ -24,7 +24,7 @@ from identification.information import spectrum
 from identification.kinematics.chain import BASE, TOOL, standing_in
 from identification.kinematics.frames import pose_table
 from identification.kinematics.parameters import JOINT_OFFSET, error_names
-from identification.measurements import MOST, POINT, Conditions, Measurements, distances, rms_distance
+from identification.measurements import MOST, POINT, Conditions, Measurements, distances, rms_distance, share_fitted
 from identification.model import Model
 from identification.model.placed import (
     SESSIONS,
@@ -36,7 +36,6 @@ from identification.model.placed import (
     with_sessions,
     without_sessions,
 )
-from identification.provenance import check_calibrated, extrapolated, outside, provenance_of, share_fitted
 
 if TYPE_CHECKING:  # a diagnosis imports this package
     from identification.gap.result import Diagnosis
@@ -94,7 +93,7 @@ class Validation(Documented, ReadOnly):
 
         of_sessions = zip(self.measurements.sessions, self.measurements.session_rows, strict=False)
         groups = [("session", name, rows) for name, rows in of_sessions]
-        out = outside(self.arm, self.measurements.postures)
+        out = self.arm.outside(self.measurements.postures)
         beyond = np.zeros(len(self.residuals), dtype=bool) if out is None else np.any(out, axis=1)
         if 0 < np.count_nonzero(beyond) < len(beyond):
             groups += [("range", "inside", np.flatnonzero(~beyond)), ("range", "outside", np.flatnonzero(beyond))]
@@ -139,11 +138,11 @@ class Validation(Documented, ReadOnly):
             elif fresh and not len(tools) == 1 == len(names):
                 its = "its position was" if len(fresh) == 1 else "their positions were"
                 yield f"the calibration has no reflector {', '.join(fresh)}: {its} fitted to these rows"
-        if (own := share_fitted(provenance_of(arm), measurements)) > 0.9:  # convention: a few others or left out rows
+        if (own := share_fitted(arm.provenance, measurements)) > 0.9:  # convention: a few others or left out rows
             yield shown.FITTED
         elif own > 0.0:
             yield f"about {100.0 * own:.0f} % of these rows are among those that the model was identified from"
-        if far := extrapolated(outside(arm, measurements.postures), "rows"):
+        if far := shown.extrapolated(arm.outside(measurements.postures), "rows"):
             yield far
         model = Model(arm)
         if once := [effect.key for effect in model.effects if effect.once and own < MOST]:
@@ -173,7 +172,7 @@ def validate(arm: Arm, measurements: Measurements, refit: str = "base") -> Valid
     the arm stands, data of another arm, too few rows.
     """
     InputError.check_names("refit: unknown name", [refit], shown.DRAWN)
-    check_calibrated(arm)
+    arm.require_calibrated()
     instrument, several = arm.chain.instrument, len(measurements.sessions) > 1
     if refit == "none" and (instrument.own_targets or (several and not instrument.reads_positions)):
         what = instrument.target or "center"
@@ -198,7 +197,7 @@ def _refitted(arm: Arm, measurements: Measurements, refit: str) -> tuple[list[di
     The temperature is counted from the mean of the data of the identification, where it is known. In other rows than
     those what happened once in that session is over: a drift or a step has come to its end.
     """
-    model, conditions, provenance = Model(arm), measurements.conditions, provenance_of(arm)
+    model, conditions, provenance = Model(arm), measurements.conditions, arm.provenance
     check_shape(model, measurements)
     own = share_fitted(provenance, measurements) >= MOST
     if refit != "none" and not own and any(effect.once for effect in model.effects):

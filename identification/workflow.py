@@ -319,8 +319,7 @@ def identify_files(
     from identification.gap.library_prior import library_prior
     from identification.measurements import rms_distance
     from identification.model import Model
-    from identification.model.placed import SESSIONS, with_sessions, without_sessions
-    from identification.provenance import diagnosed, provenance_of, without_prior_effects
+    from identification.model.placed import SESSIONS, with_sessions, without_prior_effects, without_sessions
     from identification.simulate import with_servo_errors
     from identification.validate import drawing_residuals, prior_judged
 
@@ -336,7 +335,7 @@ def identify_files(
     measurements = load_sessions([data], loaded)
     loaded, servo_errors = with_servo_errors(loaded, measurements)
     keys |= {"servo_error": servo_errors} if servo_errors else {}
-    reference = provenance_of(old or loaded).get("mean_temperature_C")
+    reference = (old or loaded).provenance.get("mean_temperature_C")
     if reference is not None and (old or chosen or any(effect.values for effect in loaded.effects)):
         # where something is held, temperatures count from those that it was found at
         measurements = replace(measurements, reference=float(reference))
@@ -432,7 +431,7 @@ def identify_files(
         labels = ", ".join(effect.label for effect in fitted.model.effects)
         lines += [f"a URDF file has no effects: {labels} left out"] if labels else []
     document = fitted.document(result, hidden).plus(*lines)
-    actions = shown.identification_actions(result, str(arm), str(data), out, diagnosed=diagnosed(bare))
+    actions = shown.identification_actions(result, str(arm), str(data), out, diagnosed=Model(bare).complete)
     return Answer(result, replace(document, actions=actions), fitted, warnings=doubts, files=files)
 
 
@@ -505,11 +504,10 @@ def validate_files(model: Path, data: Path, *, refit: Literal["base", "offsets",
     """
     from identification.documents.identification import validation_actions
     from identification.files.arm import load_arm
-    from identification.provenance import check_calibrated
     from identification.validate import validate
 
     arm = load_arm(model)
-    check_calibrated(arm, str(model))
+    arm.require_calibrated(str(model))
     validation = validate(arm, load_sessions([data], arm), refit)
     result = validation.to_json()
     actions = validation_actions(result, str(model), str(data))
@@ -541,10 +539,9 @@ def compensate_files(
     from identification.files.arm import load_arm
     from identification.files.measurement import load_targets
     from identification.model import Model
-    from identification.provenance import check_calibrated
 
     arm = load_arm(calibrated, package_dir)
-    check_calibrated(arm, str(calibrated))
+    arm.require_calibrated(str(calibrated))
     kept, near, lines = allowed(Model(arm))
     commands = compensate(arm, **load_targets(targets, arm), constraints=kept)
     files: Files = {out: ("commands", commands.text())}

@@ -27,7 +27,7 @@ ORDER = {
         "documents effects measurements files.schema files.arm files.measurement files.first_files",
         "model",
         "simulate",
-        "documents.identification estimation inspection.readings provenance inspection",
+        "documents.identification estimation inspection.readings inspection",
         "documents.diagnosis documents.pictures compensate reuse validate gap",
         "for_design inspection.inspection",
         "workflow replications",

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from identification.document import (
     Action,
@@ -172,6 +173,16 @@ def hardly_better(data: Data) -> list[str]:
 def drawing_in_words(rms: float, refit: str = "base", unit: str = "mm") -> str:
     """What the drawing leaves, and what was fitted of it;  refit : as for `validate`"""
     return f"{in_a_sentence(rms)} {unit} (drawing, {DRAWN[refit]})"
+
+
+def extrapolated(out: NDArray[np.bool_] | None, what: str) -> str | None:
+    """How many rows are outside the angles of the identification, in a clause; None: none, or not known;  out : (m, n)
+    of `Arm.outside`;  what : the rows are"""
+    if out is None or not out.any():
+        return None
+    joints = ", ".join(f"joint {j + 1} in {int(out[:, j].sum())}" for j in np.flatnonzero(out.any(axis=0)))
+    count = f"{int(out.any(axis=1).sum())} of {len(out)} {what} are outside the angles that the model was identified on"
+    return f"{count} ({joints}): there it extrapolates"
 
 
 # -- corrected values --------------------------------------------------------------------------------------------------

@@ -26,7 +26,7 @@ from identification.documents import identification as shown
 from identification.errors import InputError
 from identification.estimation.doubts import hardly_determined, tips_of
 from identification.estimation.problem import NO_PRIOR, Contradiction, Prior
-from identification.estimation.uncertainty import LEVEL, Uncertainty, freedom_kept, freedom_of, limits_95, quantile_95
+from identification.estimation.uncertainty import LEVEL, Uncertainty, freedom_kept, limits_95, quantile_95
 from identification.information import VISIBLE
 from identification.kinematics.chain import (
     STANDARD,
@@ -384,7 +384,7 @@ def corrected_values(
     names, values = calibration.parameter_names, {**model.fixed, **calibration.values}
     prior = model.prior if {*model.prior} <= {*names} else {}
     before = np.diag([prior.get(name, 0.0) for name in names]) if factor is None else factor
-    of = _Spread(values, names, calibration.covariance, freedom_of(calibration), before, unknown)
+    of = _Spread(values, names, calibration.covariance, calibration.freedom, before, unknown)
     rows = list[CorrectedValue]()
     for j, length in enumerate(arm.lengths.tolist(), start=1):
         if (name := f"{LENGTH_ERROR}:{j}") in model.geometry_parameters.names:
@@ -483,7 +483,7 @@ def dh_table(arm: Arm) -> tuple[tuple[CorrectedValue, ...], list[tuple[str, Arra
 
     nominal, now = numbers(drawn), table(values)
     names, listed = calibration.parameter_names, list[CorrectedValue]()
-    of = _Spread(values, names, calibration.covariance, freedom_of(calibration), np.zeros((len(names), 0)))
+    of = _Spread(values, names, calibration.covariance, calibration.freedom, np.zeros((len(names), 0)))
     slopes = of.slopes(table, arm.chain.every_parameter)  # effects, hundreds with the library, are not in it
     for (j, name), value in now.items():
         row_number = j + (arm.chain.convention != STANDARD and name in ("a", "alpha", "beta"))

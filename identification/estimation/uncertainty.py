@@ -13,7 +13,7 @@ groups), with the larger variance of the two groupings, and never less than that
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import chdtrc, chdtri, fdtrc, gammaln, ndtri, pdtrc, stdtr, stdtrit
 
-from identification.arm import Calibration
+from identification.arm import FREEDOM
 from identification.arrays import Array
 from identification.estimation.problem import Problem
 from identification.information import ALONE, PRODUCT_TOLERANCE, Spectrum, spectrum
@@ -31,7 +31,6 @@ from identification.measurements import Measurements
 
 # reasons: identification/README.md, "Covariance and intervals"
 LEVEL = 0.01  # of misfit that is said, of lack of fit and of serial correlation
-FREEDOM = "interval_dof"  # key of a calibration's provenance
 # of rows that count as independent, and parts in cross-validation. Convention: the fewest that Ibragimov and Mueller
 # advise, since groups must be long to be independent
 GROUPS = 8
@@ -311,13 +310,6 @@ def freedom_kept(names: Sequence[str], freedom: Array) -> dict[str, Any]:
     each = {n: float(f"{dof:.6g}") for n, dof in zip(names, freedom.tolist(), strict=True) if np.isfinite(dof)}
     equal = len(each) == len(names) and len(set(each.values())) == 1
     return {FREEDOM: each[names[0]] if equal else each} if each else {}
-
-
-def freedom_of(calibration: Calibration) -> Array:
-    """(p,) degrees of freedom of the variances of its `parameter_names`; infinite where it does not say."""
-    kept = calibration.provenance.get(FREEDOM)
-    stated = [kept.get(name) if isinstance(kept, Mapping) else kept for name in calibration.parameter_names]
-    return np.array([x if isinstance(x, int | float) and x > 0.0 else np.inf for x in stated], dtype=float)
 
 
 def limits_95(parameters: ParameterSet, values: Array, deviations: Array, freedom: ArrayLike) -> Array:

@@ -26,8 +26,7 @@ from identification.kinematics.frames import pose_table
 from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, REVOLUTE, Parameter
 from identification.measurements import POINT, Measurements, rms_distance
 from identification.model import Model
-from identification.model.placed import with_sessions
-from identification.provenance import without_prior_effects
+from identification.model.placed import with_sessions, without_prior_effects
 from identification.running import Status
 from identification.validate import drawing_residuals
 from identification.workspace import ColumnLimits

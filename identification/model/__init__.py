@@ -23,7 +23,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from identification.arm import Arm, ErrorCurve
+from identification.arm import DIAGNOSED, Arm, ErrorCurve
 from identification.arrays import Array, slices
 from identification.effects import ArmState, Effect, build_all
 from identification.effects.base import position_and_state, widths
@@ -132,6 +132,13 @@ class Model:
     def needs(self) -> frozenset[str]:
         """What the effects need of arm and data: gravity, directions, temperature, time, past."""
         return frozenset().union(*(effect.needs for effect in self.effects))
+
+    @property
+    def complete(self) -> bool:
+        """Whether nothing is missing: the calibration is that of a diagnosis, or has values of effects beside the place
+        of the base, as a diagnosed model has that was identified again."""
+        names = {p.name for effect in self.effects if effect.name != "base_offset" for p in effect.parameters}
+        return self.arm.provenance.get("source") == DIAGNOSED or not names.isdisjoint(self._calibrated)
 
     @cached_property
     def closed_form(self) -> PlanarClosedForm | None:

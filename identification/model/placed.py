@@ -18,7 +18,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from identification.arm import Arm, Calibration, EffectSpec
+from identification.arm import DIAGNOSED, Arm, Calibration, EffectSpec
 from identification.arrays import Array
 from identification.effects import library
 from identification.errors import InputError, require
@@ -206,6 +206,21 @@ def with_base(arm: Arm) -> Arm:
 def with_open_base(arm: Arm) -> Arm:
     """The arm with the effects that say where it stands, their values to be estimated."""
     return with_base(arm.with_effects(*(s for s in arm.effects if s.name not in arm.chain.standing_effects)))
+
+
+def without_prior_effects(arm: Arm) -> Arm:
+    """The arm without the effects that a fit with the library's prior added to it: those of which its calibration has
+    values and no covariance, as it has of others; the same arm where there are none."""
+    calibration = arm.calibration
+    if calibration is None or not calibration.parameter_names or arm.provenance.get("source") == DIAGNOSED:
+        return arm
+    held = calibration.effects.keys() - set(calibration.parameter_names)
+    names = [{p.name for p in effect.parameters} for effect in Model(arm).effects]
+    kept = [spec for spec, own in zip(arm.effects, names, strict=True) if not own or not own <= held]
+    if len(kept) == len(arm.effects):
+        return arm
+    values = {name: value for name, value in calibration.values.items() if name not in held}
+    return replace(arm, effects=tuple(kept), calibration=replace(calibration, values=values))
 
 
 def start_at_base(model: Model, measurements: Measurements, conditions: Conditions) -> Array:

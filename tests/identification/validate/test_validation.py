@@ -35,7 +35,6 @@ from identification.kinematics.counting import joint_range
 from identification.kinematics.frames import from_angles, pose
 from identification.measurements import Measurements, distances, pooled_sessions
 from identification.model.placed import with_sessions
-from identification.provenance import outside
 from identification.validate import Figures, beside_geometry, judged, prior_judged, validate
 from tests.doe.six_axis import CHAIN, REFLECTOR
 from tests.identification.kinematics.test_spatial import tip_by_exponentials
@@ -265,8 +264,8 @@ def test_no_row_of_a_slide_is_outside_what_it_was_identified_on() -> None:
     chain = chain_of([DHRow(300.0, 0.0, 100.0), DHRow(0.0, 0.0, 50.0, type=PRISMATIC, limits=(0.0, 1000.0))])
     q = np.column_stack([np.linspace(-1.0, 1.0, 9), np.linspace(102.529714, 977.470693, 9)])
     arm = replace(Arm(chain), calibration=Calibration({}, provenance=joint_range(q, chain.joint_types)))
-    assert not outside(arm, q).any()
-    np.testing.assert_array_equal(outside(arm, q + np.array([0.0, 0.001]))[:, 1], [False] * 8 + [True])
+    assert not arm.outside(q).any()
+    np.testing.assert_array_equal(arm.outside(q + np.array([0.0, 0.001]))[:, 1], [False] * 8 + [True])
 
 
 ARM = Arm([300.0, 200.0, 150.0], effects=(EffectSpec("base_offset"),), sigma=0.05)
