@@ -100,6 +100,10 @@ def estimate(
     def about(x: bytes) -> tuple[Array, Array]:
         return problem.linearized(np.frombuffer(x))
 
+    def rows_at(x: Array, _: Index) -> tuple[Array, Array]:
+        residual, jacobian = about(x.tobytes())
+        return residual[None], jacobian[None]
+
     # zeros that another reading of the rows has are where the search starts
     x = np.where([n in zeros for n in model.names], model.parameters.vector(zeros, default=0.0), starts(problem)[0])
     before, is_given = np.inf, problem.reliance == "given"
@@ -109,13 +113,7 @@ def estimate(
         wide = {name: deviation * factors.get(name, widths[2]) for name, deviation in prior.deviations.items()}
         widened = replace(prior, deviations=wide, own_error=widths[2] * prior.own_error)
         posed = replace(problem, noise=noise, prior=widened)
-        held, center = posed.prior_rows, posed.prior_center
-
-        def linearize(x: Array, _: Index, held: Array = held, center: Array = center) -> tuple[Array, Array]:
-            (residual, jacobian), left = about(x[0].tobytes()), held @ (center - x[0])
-            return np.concatenate([residual, left])[None], np.concatenate([jacobian, held])[None]
-
-        solution = posed.minimized(x[None], linearize, ITERATIONS if turn or is_given else 2)
+        solution = posed.minimized(x[None], rows_at, ITERATIONS if turn or is_given else 2)
         x, change, before = solution.parameters[0], abs(noise - before), noise
         goes_on = solution.status[0] is Status.iteration_limit
         if is_given or (turn and (goes_on or change <= 1e-4 * noise)):  # far below its own uncertainty

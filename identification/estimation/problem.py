@@ -245,22 +245,16 @@ class Problem:
         return self.positions - self.model.position(self.postures, parameters, self.conditions)
 
     def linearize(self, parameters: Array, index: Index) -> tuple[Array, Array]:
-        """(k, m d + r) weighted residuals of the data sets numbered (k,) and the (k, m d + r, p) weighted Jacobian."""
+        """(k, m d) weighted residuals of the data sets numbered (k,) and (k, m d, p) weighted Jacobians, without the
+        prior, at parameters (k, p)."""
         chosen = self if len(index) == len(self.positions) else self.data_sets(index)
         position, jacobian = self.model.linearize(chosen.postures, parameters, chosen.conditions)
         residuals = self.root_weights * (chosen.positions - position)
         jacobian *= self.root_weights[:, :, None]  # in place: new memory takes as long as the product
-        k, m, d, p = jacobian.shape
-        residuals, jacobian = residuals.reshape(k, m * d), jacobian.reshape(k, m * d, p)
-        if len(rows := self.prior_rows) == 0:
-            return residuals, jacobian
-        left = (self.prior_center - parameters) @ rows.T
-        prior_rows = np.broadcast_to(rows, (k, *rows.shape))
-        return np.concatenate([residuals, left], axis=1), np.concatenate([jacobian, prior_rows], axis=1)
+        return residuals.reshape(len(residuals), -1), jacobian.reshape(len(residuals), -1, jacobian.shape[-1])
 
     def rows_about(self, parameters: Array) -> tuple[Array, Array]:
-        """Weighted (m d,) residual of the first data set and (m d, p) Jacobian about parameters (p,), without the
-        prior."""
+        """Those (m d,) and (m d, p) of the first data set, if there is one, at parameters (p,)."""
         position, jacobian = self.model.linearize(self.postures, parameters, self.conditions)
         residual, jacobian = self.positions[:1] - position, self.root_weights[:, :, None] * jacobian
         return (self.root_weights * residual).reshape(-1), jacobian.reshape(-1, jacobian.shape[-1])
@@ -271,9 +265,18 @@ class Problem:
         return residuals[0], jacobians[0]
 
     def minimized(self, starts: Array, linearize: Linearize | None = None, iterations: int = ITERATIONS) -> Solution:
-        """Stationary points within the bounds from starts (K, p);  linearize : in place of the problem's own"""
-        rows = linearize or (lambda parameters, index: compressed(*self.linearize(parameters, index)))
-        parameters = self.model.parameters
+        """Stationary points within the bounds from starts (K, p);  linearize : rows of the data as this problem's own
+        say them, in place of these"""
+        rows_of_data, prior, parameters = linearize or self.linearize, self.prior_rows, self.model.parameters
+
+        def rows(x: Array, index: Index) -> tuple[Array, Array]:
+            residuals, jacobians = rows_of_data(x, index)
+            if len(prior):
+                left = (prior @ (self.prior_center - x)[..., None])[..., 0]
+                residuals = np.concatenate([residuals, left], axis=1)
+                jacobians = np.concatenate([jacobians, np.broadcast_to(prior, (len(x), *prior.shape))], axis=1)
+            return compressed(residuals, jacobians)
+
         return levenberg_marquardt(
             rows,
             starts,

@@ -331,13 +331,6 @@ class KinematicChain(ByValue):
             return point, ca.SX(0, 1)
         return point, self.angle_scale * rotation_vector(ca.mtimes(frame.axes, ca.reshape(reference, 3, 3)))
 
-    def symbolic_points(self, q: ca.SX, values: Values) -> list[ca.SX]:
-        """n + 2 points (d,) [mm] of base, joints and the first measured point, in the frame of the base; n + 1 of a
-        planar arm, whose joint 1 is the base."""
-        *frames, _, measured = self.in_base(q, values)
-        points = [*(frame.origin for frame in frames), measured.point(ca.SX(3, 1))]
-        return [point[: self.dimension] for point in points[self.first_point :]]
-
     def in_base(self, q: ca.SX, values: Values) -> list[Frame]:
         """`frames` and that of the first measured point in the frame of the base, as if nothing were wrong with it."""
         at_home = replace(self, base=np.eye(4))
@@ -346,7 +339,8 @@ class KinematicChain(ByValue):
 
     # -- numbers: errors of the geometry by name -----------------------------------------------------------------------
     def points(self, postures: Array, values: Numbers) -> Array:
-        """(..., n + 2, d) those of `symbolic_points` at postures (..., n), n + 1 of a planar arm."""
+        """(..., n + 2, d) base, joints and the first measured point [mm] at postures (..., n), in the frame of the
+        base; n + 1 of a planar arm, whose joint 1 is the base."""
         return np.delete(self.frames_at(values)(postures)[..., self.first_point :, : self.dimension, 3], -2, axis=-2)
 
     def tip_frames(self, postures: Array, values: Numbers = NOTHING) -> Array:
