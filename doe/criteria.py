@@ -207,15 +207,18 @@ class DStar(D):
 
 # -- variances ---------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
-class InverseTrace(Criterion):
-    """Phi(M) = -tr(W M^-1), with G = M^-1 W M^-1: the criteria of this kind differ in the weight matrix W (p, p),
-    positive semidefinite."""
+class A(Criterion):
+    """Sum of the variances of the scaled parameters [mm^2]: angles times link length (doe/README.md, "Criteria").
 
-    power = -1
+    Phi(M) = -tr(W M^-1), with G = M^-1 W M^-1 and W = I; criteria of this kind differ in the weight matrix W, positive
+    semidefinite. Not invariant to units. The paper's reason against it (a constant trace) is about tr M, not tr M^-1.
+    """
 
-    @abstractmethod
+    name, power = "A", -1
+
     def weight(self, parameters: int) -> Array:
         """(p, p) W."""
+        return np.eye(parameters)
 
     def value(self, information: Array) -> Array:
         inverse, singular = inverses(information)
@@ -244,7 +247,7 @@ class RankingByTrace(Ranking):
     R' = M^-1 R^T: M'^-1 = M^-1 - R' C R'^T,  C = (1/s + R R')^-1.
     """
 
-    def __init__(self, criterion: InverseTrace, information: Array, jacobians: Array) -> None:
+    def __init__(self, criterion: A, information: Array, jacobians: Array) -> None:
         super().__init__(criterion, information, jacobians)
         self.weight, self.rows = criterion.weight(len(information)), jacobians.reshape(-1, len(information))
         before, seen, inner = _woodbury(information[None], jacobians[None])
@@ -280,20 +283,7 @@ class RankingByTrace(Ranking):
 
 
 @dataclass(frozen=True)
-class A(InverseTrace):
-    """Sum of the variances of the scaled parameters [mm^2]: angles times link length (doe/README.md, "Criteria").
-
-    Not invariant to units. The paper's reason against it (a constant trace) is about tr M, not tr M^-1.
-    """
-
-    name = "A"
-
-    def weight(self, parameters: int) -> Array:
-        return np.eye(parameters)
-
-
-@dataclass(frozen=True)
-class I(InverseTrace):  # noqa: E742 (its name in the literature)
+class I(A):  # noqa: E742 (its name in the literature)
     """Mean squared position error at test poses after compensation (Klimchik's test-pose criterion).
 
     After m runs with noise sigma per coordinate, -Phi sigma^2 / m is the mean over the poses of E |error|^2 [mm^2]:

@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from doe.criteria import Criterion, InverseTrace, log_determinants
+from doe.criteria import A, Criterion, log_determinants
 from doe.problem.problem import PriorInformation, Stop, information_of_each, never
 from identification import Array, InputError, JobError, spectrum
 
@@ -150,7 +150,7 @@ def solve_program(
     tied, floor = [place == coordinates.T @ weights, cp.sum(weights) == 1.0], None
     if criterion.name == "D":
         objective = cp.log_det(matrix)
-    elif isinstance(criterion, InverseTrace):
+    elif isinstance(criterion, A):
         values, vectors = np.linalg.eigh(criterion.weight(p))
         objective = -cp.matrix_frac(root @ (vectors * np.sqrt(np.maximum(values, 0.0))), matrix)
     elif criterion.name == "E":

@@ -161,7 +161,7 @@ def design_files(
     picture : Draw the postures (.png, .svg, .pdf).
     out : Write the plan (CSV).
     """
-    from doe.plan.accuracy import ExpectedTip, with_choices
+    from doe.plan.accuracy import expected_tip, with_choices
     from doe.plan.moves import drive, with_approach
     from identification import load_arm
 
@@ -209,9 +209,8 @@ def design_files(
     if discriminating:
         chosen = chosen.driven(driven.plan)
         data, document = chosen.to_json(), chosen.document()
-    expected = ExpectedTip.of(design.problem, design.plan.postures, seed)
-    data["expected_tip"] = None if expected is None else expected.to_json()
-    extra = [*([] if expected is None else [str(expected)]), *driven.lines]
+    data["expected_tip"], extra = expected_tip(design.problem, design.plan.postures, seed)
+    extra += driven.lines
     data |= driven.data
     files: dict[Path | None, tuple[str, Any]] = {out: ("plan", driven.moves.text(design.columns_beside))}
     if picture is not None:
@@ -660,7 +659,7 @@ def demo_files(
     spatial : Six axes and a laser tracker instead of the paper's 4-link arm.
     out : Directory for the files.
     """
-    from doe.demo.run import PLANAR, SIX_AXES, demo_document, overview_figure, run_demo
+    from doe.demo.run import demo_document, overview_figure, run_demo
 
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -669,7 +668,7 @@ def demo_files(
     except OSError as error:  # a file, a name that is too long, links that lead in a circle, no right to write
         raise InputError(f"{out}: cannot be created ({error.strerror}), allowed: a writable place") from None
     with interruptible(f"; the files in {out} are whole, but not all there"):
-        demo = run_demo(out, SIX_AXES if spatial else PLANAR, seed, progress)
+        demo = run_demo(out, spatial=spatial, seed=seed, progress=progress)
         document, picture = demo_document(demo), overview_figure(demo)
         text = page(document, [out / name for name in demo.data["files"]])
         write_together({out / "overview.png": picture, out / "report.html": text}, force=True)

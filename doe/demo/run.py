@@ -4,7 +4,7 @@ for the real arm; the paper's 4-link arm, or a six-axis arm before a laser track
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,24 +22,6 @@ from identification import Arm, Plan, Progress, design_model, load_arm, rms_dist
 from identification.document import Answer, Document, Pictures, Section, Sheet, number
 from identification.files.io import write_together
 from identification.workflow import VERBS, Written
-
-
-@dataclass(frozen=True)
-class Scenario:
-    """An arm, and what its simulation hides.
-
-    folder : beside this file, of what is there first; truth.toml is what there is more in it than in arm.toml
-    runs : of the plan;  effort : of the search for it, arguments of `solve`
-    """
-
-    title: str
-    folder: str
-    runs: int
-    effort: Mapping[str, Any] = field(default_factory=dict)
-
-
-PLANAR = Scenario("the paper's 4-link arm", "planar", runs=20)
-SIX_AXES = Scenario("a six-axis arm before a laser tracker", "six_axes", runs=36, effort={"starts": 1})
 
 
 # -- the loop ----------------------------------------------------------------------------------------------------------
@@ -62,8 +44,17 @@ class Demo:
     data: dict[str, Any]
 
 
-def run_demo(directory: Path, scenario: Scenario, seed: int = 0, progress: Progress = Progress()) -> Demo:
-    """Make the files and results of the demo in a directory that exists; files there are replaced."""
+def run_demo(
+    directory: Path, *, spatial: bool = False, seed: int = 0, progress: Progress = Progress(), **effort: Any
+) -> Demo:
+    """Make the files and results of the demo in a directory that exists; files there are replaced.
+
+    effort : of the search for the plan, arguments of `solve`
+    """
+    title, folder, runs = "the paper's 4-link arm", "planar", 20
+    if spatial:
+        title, folder, runs = "a six-axis arm before a laser tracker", "six_axes", 36
+        effort = {"starts": 1} | effort
     verbs, files = {name: verb for name, (verb, _) in VERBS.items()}, list[str]()
 
     def file(name: str) -> Written:
@@ -75,14 +66,15 @@ def run_demo(directory: Path, scenario: Scenario, seed: int = 0, progress: Progr
         write_together({file(name): text}, force=True)
 
     progress(0, 8, "arm files")
-    first = {each.name: each.read_text() for each in sorted(Path(__file__).with_name(scenario.folder).iterdir())}
+    first = {each.name: each.read_text() for each in sorted(Path(__file__).with_name(folder).iterdir())}
+    # truth.toml beside this file is what there is more in it than in arm.toml
     for name, text in (first | {"truth.toml": f"{first['arm.toml']}\n{first['truth.toml']}"}).items():
         write(name, text)
     path, truth, rows, fresh = (directory / name for name in ("arm.toml", "truth.toml", "data.csv", "fresh.csv"))
     arm, real = load_arm(path), design_model(load_arm(truth))
     progress(1, 8, "plan")
     problem, generator = DesignProblem.of(arm), np.random.default_rng(seed)
-    design = solve(problem, scenario.runs, seed=seed, **scenario.effort)
+    design = solve(problem, runs, seed=seed, **effort)
     driven = drive(problem, design.plan, seed=seed)
     design = replace(design, plan=driven.plan)
     write("plan.csv", driven.moves.text())
@@ -134,7 +126,7 @@ def run_demo(directory: Path, scenario: Scenario, seed: int = 0, progress: Progr
         },
         "files": files,
     }
-    return Demo(scenario.title, arm, design, driven.moves, identified, diagnosed, tests, data)
+    return Demo(title, arm, design, driven.moves, identified, diagnosed, tests, data)
 
 
 # -- its page ----------------------------------------------------------------------------------------------------------

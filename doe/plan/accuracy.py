@@ -304,58 +304,38 @@ class TipErrors:
         return information_matrix(self._points) / len(self._points)
 
 
-@dataclass(frozen=True)
-class ExpectedTip:
-    """What a plan promises beside random ones, where the arm may have what its model lacks: RMS distances [mm].
+def expected_tip(problem: DesignProblem, postures: Array, seed: int = 0) -> tuple[dict[str, Any] | None, list[str]]:
+    """What a plan (m, n) promises beside 50 random ones, fitted in the same way, where the arm may have what its model
+    lacks: RMS distances [mm] as the key `expected_tip` (identification/files/README.md, "JSON keys"), and in words.
 
-    plan : if fitted as the plan says;  random : (50,) of random plans of as many runs, fitted in the same way
-    fit : `library-prior`, or empty: least squares
+    None where no sizes are known or none are counted, and for more runs than 2000, of which random plans are all alike.
+
+    problem : that the plan was chosen for, robust or not
     """
-
-    plan: float
-    random: Array
-    fit: str
-
-    @classmethod
-    def of(cls, problem: DesignProblem, postures: Array, seed: int = 0) -> Self | None:
-        """What a plan (m, n) promises beside random ones; None where no sizes are known or none are counted, and for
-        more runs than 2000, of which random plans are all alike.
-
-        problem : that the plan was chosen for, robust or not
-        """
-        m, plans, most = len(postures), 50, 2000  # random plans that it is compared with, and postures of all of them
-        anywhere = replace(problem, choices=None) if problem.sampled else problem
-        errors = TipErrors.of(anywhere, m) if m <= most else None
-        if errors is None or not errors.wide.missing:
-            return None
-        fitted = "effects_missing_prior" if problem.fit else "effects_missing"
-        generator = np.random.default_rng([seed, m])
-        if anywhere.choices is None:
-            pool = connected(problem, random_postures(problem, min(plans * m, most), generator))
-        else:
-            pool = listed_candidates(problem, anywhere.choices)
-        drawn = [generator.choice(len(pool), m, replace=len(pool) < m) for _ in range(plans)]
-        read = errors.wide.scaled_jacobians(pool)
-        random = [errors.of_plan(pool[each], read[each])[fitted] for each in drawn]
-        return cls(errors.of_plan(postures)[fitted], np.array(random), problem.fit)
-
-    better = property(lambda self: float(np.mean(self.random > self.plan)))
-    median = property(lambda self: float(np.median(self.random)))
-
-    def to_json(self) -> dict[str, Any]:
-        """Key `expected_tip` (identification/files/README.md, "JSON keys")."""
-        figures = {"plan_mm": self.plan, "random_median_mm": self.median}
-        finite = {name: value if np.isfinite(value) else None for name, value in figures.items()}
-        return finite | {"better_than": self.better, "random_plans": len(self.random), "fit": self.fit or None}
-
-    def __str__(self) -> str:
-        """One sentence, or two."""
-        fit = f"fitted by armcal identify --{self.fit}" if self.fit else "fitted without them"
-        named = "effects of --missing" if "--missing" in self.fit else "effects and error curves"
-        where = f"Expected error of the tip if the arm has {named} that its file does not name ({fit})"
-        others = f"{self.median:.3g} mm by the median of {len(self.random)} random ones"
-        beside = f"{self.plan:.3g} mm by this plan, {others}; better than {100.0 * self.better:.0f} % of them."
-        if self.plan < 0.95 * self.median:  # differences below change with the arm
-            return f"{where}: {beside}"
-        instead = "" if self.fit else " armcal design --robust chooses postures for that."
-        return f"{where}: {beside} In this the plan is hardly better than random postures, if at all.{instead}"
+    m, plans, most = len(postures), 50, 2000  # random plans that it is compared with, and postures of all of them
+    anywhere = replace(problem, choices=None) if problem.sampled else problem
+    errors = TipErrors.of(anywhere, m) if m <= most else None
+    if errors is None or not errors.wide.missing:
+        return None, []
+    fitted = "effects_missing_prior" if problem.fit else "effects_missing"
+    generator = np.random.default_rng([seed, m])
+    if anywhere.choices is None:
+        pool = connected(problem, random_postures(problem, min(plans * m, most), generator))
+    else:
+        pool = listed_candidates(problem, anywhere.choices)
+    drawn = [generator.choice(len(pool), m, replace=len(pool) < m) for _ in range(plans)]
+    read = errors.wide.scaled_jacobians(pool)
+    random = np.array([errors.of_plan(pool[each], read[each])[fitted] for each in drawn])
+    plan = errors.of_plan(postures)[fitted]
+    median, better = float(np.median(random)), float(np.mean(random > plan))
+    figures = {"plan_mm": plan, "random_median_mm": median}
+    data = {name: value if np.isfinite(value) else None for name, value in figures.items()}
+    fit = f"fitted by armcal identify --{problem.fit}" if problem.fit else "fitted without them"
+    named = "effects of --missing" if "--missing" in problem.fit else "effects and error curves"
+    where = f"Expected error of the tip if the arm has {named} that its file does not name ({fit})"
+    others = f"{median:.3g} mm by the median of {plans} random ones"
+    sentences = f"{where}: {plan:.3g} mm by this plan, {others}; better than {100.0 * better:.0f} % of them."
+    if not plan < 0.95 * median:  # differences below change with the arm
+        sentences += " In this the plan is hardly better than random postures, if at all."
+        sentences += "" if problem.fit else " armcal design --robust chooses postures for that."
+    return data | {"better_than": better, "random_plans": plans, "fit": problem.fit or None}, [sentences]

@@ -20,7 +20,7 @@ from threadpoolctl import threadpool_limits
 
 from doe.bounds.certificate import ApproximateDesign, Bound
 from doe.bounds.column_generation import best_known_bound, bound_that_holds, continuous_design
-from doe.bounds.planar_theorem import applies, closed_form_bound
+from doe.bounds.planar_theorem import applies, closed_form_bound, optimal_plans
 from doe.design import Design
 from doe.plan.ascent import PlanAscent
 from doe.plan.spacing import allowed_value, places_of_free_joint, separated, spread_free_joints, with_additions
@@ -28,7 +28,6 @@ from doe.problem.postures import listed_candidates, random_postures
 from doe.problem.problem import DesignProblem
 from doe.solvers.exchange import Exchange
 from doe.solvers.ipopt import Ipopt
-from doe.solvers.planar_theory import Analytic, optimal_plans
 from doe.solvers.solver import LONG_PLAN, LONG_PLAN_SECONDS, Budget, Offer, Solver
 from identification import Array, InputError, JobError, Plan, Progress, Status, additions, require
 
@@ -37,6 +36,26 @@ NEUTRAL = "under one payload, temperature, time and approach no posture distingu
 
 
 # -- solvers by name ---------------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Analytic:
+    """Random plans that attain the closed-form bound; none where the limits or the number of runs do not allow any."""
+
+    name: str = "analytic"
+
+    def starts_for(self, problem: DesignProblem) -> int:
+        """One: any such plan is optimal."""
+        return 1
+
+    def offers(self, problem: DesignProblem, runs: int, generator: Generator, budget: Budget) -> Iterator[Offer]:
+        """One plan per start. Raises `JobError` where there is none."""
+        plan = None
+        for plan in optimal_plans(problem, runs, generator):
+            yield Offer(plan, 1)
+        if plan is None:
+            none = "has no plan for this criterion, these limits and this number of runs"
+            raise JobError(f"solver: analytic {none}, allowed: leave --solver out")
+
+
 @dataclass(frozen=True)
 class Random:
     """Plans uniform within the joint limits, the best of `count`. One: common practice, to compare with."""

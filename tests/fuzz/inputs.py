@@ -112,7 +112,9 @@ def written_by_armcal() -> dict[str, dict[str, str]]:
         truth = f"length_errors_mm = {[0.5] * count}\njoint_offsets_deg = {[0.2] * count}\n"
         truth = 'values = {"joint_offset:2" = 0.3}\n' if spatial else truth
         files = {"arm.toml": arm, "truth.toml": f"{arm}[calibration]\n{truth}{ECCENTRIC}", "robot.urdf": URDF}
-        aside = patch("doe.plan.accuracy.ExpectedTip.of", return_value=None)  # takes most of the time, changes no file
+        aside = patch(
+            "doe.plan.accuracy.expected_tip", return_value=(None, [])
+        )  # takes most of the time, changes no file
         with TemporaryDirectory() as folder, chdir(folder), aside:
             for name, text in files.items():
                 Path(name).write_text(text)

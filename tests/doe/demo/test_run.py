@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from doe.demo.run import SIX_AXES, Demo, demo_document, overview_figure, run_demo
+from doe.demo.run import Demo, demo_document, overview_figure, run_demo
 from doe.plan.moves import room_of
 from identification import Plan, load_arm
 from identification.files.urdf import read_urdf
@@ -18,7 +17,7 @@ from tests.doe.plan.test_plan import sampled
 def test_the_hidden_effect_is_named_the_gap_closes_and_all_is_shown(tmp_path: Path) -> None:
     """With random postures: the search for better ones takes a quarter of a minute."""
     with pytest.warns(UserWarning, match="the measured point is not known"):
-        demo: Demo = run_demo(tmp_path, replace(SIX_AXES, effort={"solver": "random", "starts": 1}))
+        demo: Demo = run_demo(tmp_path, spatial=True, solver="random", starts=1)
     gaps, hidden, diagnosis = demo.data["fresh_gap_mm"], demo.data["hidden"], demo.diagnosed.result
     problem, way = demo.design.problem, Plan.load(tmp_path / "plan.csv").postures
     assert sampled(room_of(problem.model, problem.constraints), way, 300) > 0.0  # of every move

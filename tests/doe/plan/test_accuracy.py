@@ -13,12 +13,12 @@ from doe.bounds.certificate import Bound
 from doe.criteria import NAMES, Ds, DStar, E
 from doe.plan.accuracy import (
     ExpectedDeviations,
-    ExpectedTip,
     TipErrors,
     average_error,
     criterion_of,
     criterion_values,
     error_at_poses,
+    expected_tip,
     missing_effects,
     observability,
     robust_problem,
@@ -179,7 +179,7 @@ def test_of_a_diagnosed_arm_nothing_is_missing() -> None:
     expected = -replace(case, criterion=average_error(case, poses)).objective(POSTURES) * 0.1**2 / len(POSTURES)
     assert found["model_right"] ** 2 == pytest.approx(expected, rel=1e-9)
     assert (found["effects_missing"], found["effects_missing_prior"]) == (np.inf, np.inf)
-    assert ExpectedTip.of(case, POSTURES) is None
+    assert expected_tip(case, POSTURES) == (None, [])
 
 
 def test_of_a_spatial_arm_with_the_prior_of_its_machining() -> None:
@@ -240,18 +240,20 @@ def test_what_no_name_has_is_counted_against_simulated_arms(runs: int) -> None:
 
 
 @pytest.mark.parametrize("problem", [PLAIN, WIDE])
-def test_a_plan_beside_random_ones(problem: DesignProblem) -> None:
+def test_a_plan_beside_random_ones(problem: DesignProblem, monkeypatch: pytest.MonkeyPatch) -> None:
     """By the fit that it is meant for, each random plan by itself; the same seed gives the same."""
-    found = ExpectedTip.of(problem, POSTURES, seed=2)
-    assert found.fit == problem.fit
     judged = TipErrors(problem, WIDE, tip_jacobians(WIDE, workspace(PLAIN))) if problem.fit else TipErrors.of(PLAIN)
     fitted = "effects_missing_prior" if problem.fit else "effects_missing"
-    assert found.plan == pytest.approx(judged.of_plan(POSTURES)[fitted], rel=1e-9)
-    assert judged.of_plan(POSTURES, judged.wide.scaled_jacobians(POSTURES))[fitted] == pytest.approx(found.plan)
-    assert len(found.random) == 50
-    assert np.all(found.random > 0.0)
-    said = found.to_json()
-    assert said["better_than"] == np.mean(found.random > found.plan)
-    assert said == ExpectedTip.of(problem, POSTURES, seed=2).to_json() != ExpectedTip.of(problem, POSTURES, 3).to_json()
-    worse = ExpectedTip.of(problem, np.tile(POSTURES[:3], (2, 1)), seed=2)
-    assert "hardly better than random postures, if at all" in str(worse)
+    plan, of_plan, errors = judged.of_plan(POSTURES)[fitted], TipErrors.of_plan, list[float]()
+    assert judged.of_plan(POSTURES, judged.wide.scaled_jacobians(POSTURES))[fitted] == pytest.approx(plan)
+    with monkeypatch.context() as patched:
+        patched.setattr(TipErrors, "of_plan", lambda *a: errors.append((each := of_plan(*a))[fitted]) or each)
+        said, _ = expected_tip(problem, POSTURES, seed=2)
+    random, judged_last = np.array(errors[:50]), errors[50]
+    assert judged_last == pytest.approx(plan, rel=1e-9)
+    assert np.all(random > 0.0)
+    figures = judged_last, np.median(random), np.mean(random > judged_last), 50, problem.fit or None
+    assert tuple(said.values()) == figures
+    assert said == expected_tip(problem, POSTURES, seed=2)[0] != expected_tip(problem, POSTURES, 3)[0]
+    _, worse = expected_tip(problem, np.tile(POSTURES[:3], (2, 1)), seed=2)
+    assert "hardly better than random postures, if at all" in worse[0]
