@@ -19,7 +19,7 @@ import signal
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence, Set
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import fields, is_dataclass
@@ -31,6 +31,7 @@ import polars as pl
 
 from doe import SINGLE_THREAD
 from identification import InputError, JobError, Progress, require
+from identification.document import Sheet
 from identification.files.io import check_writable, write_together
 
 Key = Mapping[str, Any]  # JSON types only; says everything that the rows depend on
@@ -95,6 +96,19 @@ def parquet(frame: pl.DataFrame) -> bytes:
     buffer = io.BytesIO()
     frame.write_parquet(buffer)
     return buffer.getvalue()
+
+
+Columns = Mapping[str, tuple[str, str]]  # heading -> name in a row, and format of its numbers
+
+
+def sheet(rows: Iterable[dict[str, Any]], columns: Columns, title: str) -> Sheet:
+    """Rows as a table, a dash for none."""
+    return Sheet([*columns], [[cell_text(row[name], kind) for name, kind in columns.values()] for row in rows], title)
+
+
+def cell_text(value: Any, kind: str = ".4g") -> str:
+    """A cell: a number in this format, a dash for none, text as it is."""
+    return "-" if value is None else format(value, kind) if isinstance(value, float) else str(value)
 
 
 # -- tasks -------------------------------------------------------------------------------------------------------------

@@ -205,7 +205,7 @@ def test_ci_runs_the_command_of_the_readme_whose_picture_shows_every_folder() ->
     ("code", "absent"),
     [
         (
-            "from doe.cli.main import main\ntry: main(['--help'])\nexcept SystemExit: pass",
+            "from doe.cli import main\ntry: main(['--help'])\nexcept SystemExit: pass",
             "numpy casadi cvxpy clarabel scipy polars matplotlib pydantic rich",
         ),
         ("import identification.model", "scipy"),

@@ -161,7 +161,7 @@ def design_files(
     picture : Draw the postures (.png, .svg, .pdf).
     out : Write the plan (CSV).
     """
-    from doe.plan.accuracy import expected_tip, with_choices
+    from doe.plan.accuracy import tip_beside_random, with_choices
     from doe.plan.moves import drive, with_approach
     from identification import load_arm
 
@@ -209,7 +209,7 @@ def design_files(
     if discriminating:
         chosen = chosen.driven(driven.plan)
         data, document = chosen.to_json(), chosen.document()
-    data["expected_tip"], extra = expected_tip(design.problem, design.plan.postures, seed)
+    data["expected_tip"], extra = tip_beside_random(design.problem, design.plan.postures, seed)
     extra += driven.lines
     data |= driven.data
     files: dict[Path | None, tuple[str, Any]] = {out: ("plan", driven.moves.text(design.columns_beside))}
@@ -418,9 +418,8 @@ def compare_files(
     seconds : Limit of one run [s].
     """
     from doe.jobs import parquet
-    from doe.report.studies import comparison_parts
     from doe.solvers import available_solvers
-    from doe.studies.comparison import compare, summary
+    from doe.studies.comparison import compare, comparison_parts, summary
     from identification import load_arm
 
     if job.resume and job.out is None:
@@ -616,9 +615,8 @@ def study_files(
     folder, how = job.out or Path(study).with_suffix(".results"), job.how(seed, progress)
     with interruptible(f"; finished rows are kept in {folder}, go on with --resume"):
         if study in BUILT_IN:
-            from doe.report.studies import blind_parts, reliability_figure
             from doe.studies.blind.cells import CELLS
-            from doe.studies.blind.study import blind_study
+            from doe.studies.blind.study import blind_parts, blind_study, reliability_figure
 
             offered = {name: spec.reported for name, spec in CELLS.items() if spec.space == (study == "blind-spatial")}
             InputError.check_names(f"--cell: unknown name of the study {study}", cells, offered)
@@ -628,8 +626,7 @@ def study_files(
             shown, passed = blind_parts(tables), "failed" not in tables.pop("sets")["status"]
             data = {"out": folder, "passed": passed, **{name: table.to_dicts() for name, table in tables.items()}}
             return Answer(data, Document(parts=shown), exit_code=0 if passed else 1)
-        from doe.report.studies import monte_carlo_parts
-        from doe.studies.monte_carlo import Study, run_study
+        from doe.studies.monte_carlo import Study, monte_carlo_parts, run_study
 
         tables = run_study(Study.load(Path(study), replications), folder, **how)
         rows, blocks = tables["cells"], tables["blocks"]

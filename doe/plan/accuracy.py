@@ -304,7 +304,9 @@ class TipErrors:
         return information_matrix(self._points) / len(self._points)
 
 
-def expected_tip(problem: DesignProblem, postures: Array, seed: int = 0) -> tuple[dict[str, Any] | None, list[str]]:
+def tip_beside_random(
+    problem: DesignProblem, postures: Array, seed: int = 0
+) -> tuple[dict[str, Any] | None, list[str]]:
     """What a plan (m, n) promises beside 50 random ones, fitted in the same way, where the arm may have what its model
     lacks: RMS distances [mm] as the key `expected_tip` (identification/files/README.md, "JSON keys"), and in words.
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import polars as pl
 
-from doe.jobs import Key, Row, call, run_tasks, short_hash
+from doe.jobs import Columns, Key, Row, call, run_tasks, sheet, short_hash
 from doe.plan.accuracy import criterion_of
 from doe.problem.problem import DesignProblem
 from doe.solvers import Solver, available_solvers, solve
@@ -29,6 +29,15 @@ CRITERIA = ("D", "A", "E", "Dstar")  # those that need nothing but the arm
 SETTING = ("solver", "starts")
 COLUMNS: Any = {"parameters": pl.Int64, "correct": pl.Boolean, "bound_cut": pl.Boolean}
 COLUMNS |= dict.fromkeys(("value", "bound", "efficiency", "seconds"), pl.Float64)
+COMPARED: Columns = {
+    "solver": ("label", ""),
+    **{name: (name, "z.6g") for name in ("best", "median")},
+    "effi-\nciency": ("efficiency", ".5f"),
+    "hits": ("hits", ""),
+    "time\n[s]": ("seconds", ".2g"),
+    "to hit\n[s]": ("seconds_to_hit", ".2g"),
+    "failed": ("not_correct", ""),
+}
 
 
 def compare(
@@ -156,3 +165,26 @@ def with_hits(rows: pl.DataFrame) -> pl.DataFrame:
     size = pl.when(pl.col("criterion").is_in(["A", "E"])).then(best.abs()).otherwise(pl.col("parameters"))
     hit = good & (pl.col("value") >= best - 1e-6 * size).fill_null(value=False)
     return rows.with_columns(good.alias("good"), hit.alias("hit"))
+
+
+# -- as a document -----------------------------------------------------------------------------------------------------
+def comparison_parts(rows: pl.DataFrame) -> list[Any]:
+    """One table per problem, the best setting first, and what went wrong, equal sentences once."""
+    starts = pl.when(pl.col("starts") > 0).then(pl.format(", starts: {}", "starts")).otherwise(pl.lit(""))
+    label = pl.concat_str("solver", starts)  # without its number of starts where it is the solver's own
+    hits = pl.format("{}/{}", (pl.col("hit_rate") * pl.col("repeats")).round().cast(int), "repeats")
+    parts: list[Any] = []
+    for part in summary(rows).with_columns(label=label, hits=hits).partition_by(*PROBLEM, maintain_order=True):
+        arm, digest, criterion, m = part.select(PROBLEM).row(0)
+        bounded = with_hits(rows).filter(arm_hash=digest, criterion=criterion, runs=m).drop_nulls("bound")
+        title = f"{arm}, {criterion}, {m} runs"
+        for bound, cut in bounded.select("bound", "bound_cut").sort("bound", "bound_cut").head(1).iter_rows():
+            title += f", bound {bound:z.7f}" + ", its search cut by the time limit" * bool(cut)
+        parts.append(sheet(part.iter_rows(named=True), COMPARED, title))
+    failed = rows.filter(pl.col("status") != "done").with_columns(label=label)
+    kinds = failed.group_by("arm", "criterion", "runs", *SETTING, "label", "status", "error", maintain_order=True).len()
+    sentence = pl.format(
+        "{}, {}, {} runs, {}: {} x {}: {}", "arm", "criterion", "runs", "label", "len", "status", "error"
+    )
+    lines = kinds.select(sentence).to_series().to_list()
+    return [*parts, *lines[:10], *([f"and {len(lines) - 10} more; the rows have them all"] if len(lines) > 10 else [])]

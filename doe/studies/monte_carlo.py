@@ -16,7 +16,7 @@ from typing import Any, Self
 import numpy as np
 import polars as pl
 
-from doe.jobs import Key, Row, canonical, parquet, run_tasks, short_hash
+from doe.jobs import Columns, Key, Row, canonical, cell_text, parquet, run_tasks, sheet, short_hash
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem
 from doe.solvers import SOLVERS, solve
@@ -27,6 +27,12 @@ CELL = ("arm", "plan", "runs", "sigma_mm", "truth", "model")  # the columns that
 DFT, RANDOM = "dft", "random"
 BLOCK, RANDOM_BLOCK = 10_000, 100  # replications of a task; those that share one random plan
 MOST_ROWS = 4_000_000  # of a task: 64 MB of positions
+ESTIMATED: Columns = {
+    "parameter": ("parameter", ""),
+    **{name.replace("_", " "): (name, ".4g") for name in ("mean_error", "std", "expected_std")},
+    "95 % intervals hold": ("coverage", ".2%"),
+    "unit": ("unit", ""),
+}
 
 
 # -- what is asked for -------------------------------------------------------------------------------------------------
@@ -223,3 +229,24 @@ def replicate(key: dict[str, Any], seed: np.random.SeedSequence, cell: Cell | st
         row["expected_std"] = float(std * factor) if error.size else None
         block.append(row)
     return block
+
+
+# -- as a document -----------------------------------------------------------------------------------------------------
+def monte_carlo_parts(tables: Mapping[str, pl.DataFrame]) -> list[Any]:
+    """What kept cells from being simulated, equal sentences once; one table per cell that was, up to twelve, of errors,
+    deviations and coverage of each parameter (dashes where no fit succeeded)."""
+    cells, done = tables["cells"], tables["blocks"].filter(status="done")
+    fits = done.group_by("key").first()["fits"].sum() if "fits" in done.columns else 0
+    count = cells.select(CELL).n_unique()
+    failed = cells.filter(pl.col("error").is_not_null()).group_by("arm", "error", maintain_order=True)
+    kinds = failed.agg(pl.struct(CELL).n_unique().alias("cells")).iter_rows(named=True)
+    parts: list[Any] = [f"{count} cells, {fits} fits"]
+    parts += [f"{kind['arm']}: {kind['cells']} of {count} cells failed: {kind['error']}" for kind in kinds]
+    each = cells.filter(pl.col("error").is_null()).partition_by(*CELL, maintain_order=True)
+    for cell in each[:12]:
+        first = cell.row(0, named=True)
+        title = "{arm}, plan {plan}, {runs} runs, sigma {sigma_mm:g} mm, truth {truth}, model {model}".format(**first)
+        lost = f", {first['failed']} failed" if first["failed"] else ""
+        title += f": {first['fits']} fits{lost}, RMS {cell_text(first['rms_mm'])} mm"
+        parts.append(sheet(cell.iter_rows(named=True), ESTIMATED, title))
+    return [*parts, *([f"first 12 of {len(each)} cells that were simulated"] if len(each) > 12 else [])]

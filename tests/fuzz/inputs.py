@@ -113,7 +113,7 @@ def written_by_armcal() -> dict[str, dict[str, str]]:
         truth = 'values = {"joint_offset:2" = 0.3}\n' if spatial else truth
         files = {"arm.toml": arm, "truth.toml": f"{arm}[calibration]\n{truth}{ECCENTRIC}", "robot.urdf": URDF}
         aside = patch(
-            "doe.plan.accuracy.expected_tip", return_value=(None, [])
+            "doe.plan.accuracy.tip_beside_random", return_value=(None, [])
         )  # takes most of the time, changes no file
         with TemporaryDirectory() as folder, chdir(folder), aside:
             for name, text in files.items():

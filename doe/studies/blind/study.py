@@ -14,18 +14,22 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from math import inf, sqrt
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import polars as pl
 
 from doe.discrimination.design import discrimination_design
 from doe.discrimination.t_optimal import discriminate
-from doe.jobs import Key, Row, frame_of, parquet, run_tasks
+from doe.jobs import Columns, Key, Row, frame_of, parquet, run_tasks, sheet
 from doe.problem.problem import DesignProblem
 from doe.studies.blind.cells import CELLS, SAME_ARM, TABLE, DataSet, data_set, to_be_planned
 from identification import Arm, Array, InputError, design_model, diagnose, fitted_arm, library, rms_distance
+from identification.document import Sheet
 from identification.files.io import write_together
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 BATCH = SAME_ARM  # sets per task
 AMBIGUOUS = "one, lambda 8, m=20"  # the cell whose ambiguous sets are measured further
@@ -43,6 +47,8 @@ FOLLOWING = {  # where an effect of the library is that has no joint
     "workspace": ("axes_skew", "measurement_scale"),
 }
 Judged = dict[str, Any]
+RELIABLE: Columns = {"stated": ("bin", ""), "mean": ("said", ".3f"), "right": ("right", ".3f"), "sets": ("count", "")}
+BARS: Columns = {name: (name, "") for name in ("cell", "measure", "asked", "measured", "outcome")}
 
 
 def blind_study(
@@ -317,3 +323,64 @@ def calibration(sets: Sequence[Judged]) -> Iterator[Judged]:
             value = sum(row["count"] / total * abs(row["said"] - row["right"]) for row in rows)
             error = sqrt(sum((row["count"] / total * of_share(row["right"], row["count"])) ** 2 for row in rows))
             yield {"cell": ALL, "measure": measure, "value": value, "standard_error": error, "count": total}
+
+
+# -- as a document -----------------------------------------------------------------------------------------------------
+def blind_parts(tables: Mapping[str, pl.DataFrame]) -> list[Any]:
+    """Verdict, figures of the cells, reliability, bars, and the most frequent mistakes."""
+    bars = [{**row, "measured": with_error(row)} for row in tables["bars"].iter_rows(named=True)]
+    counts = {word: sum(row["outcome"] == word for row in bars) for word in OUTCOMES}
+    outcomes = ", ".join(f"{count} {word}" for word, count in counts.items() if count)
+    done = len(tables["sets"].filter(status="done"))
+    failed = f"; {len(tables['sets']) - done} batches failed" if done < len(tables["sets"]) else ""
+    parts: list[Any] = [f"{done} blind data sets; bars: {outcomes or 'none'}{failed}"]
+    cells: dict[str, dict[str, Any]] = {}
+    for row in tables["cells"].iter_rows(named=True):
+        cells.setdefault(row["cell"], {})[row["measure"]] = row
+    for title, (first, *others) in TABLE["tables"].items():  # where a cell has the first of the measures
+        rows = [
+            [cell, str(row[first]["count"]), *(with_error(row.get(name)) for name in (first, *others))]
+            for cell, row in cells.items()
+            if first in row
+        ]
+        parts.append(Sheet(("hidden", "sets", first, *others), rows, title))
+    error = with_error(cells.get(ALL, {}).get("calibration error"))
+    title = f"Is what is stated with probability p right in a share p of the sets? Expected calibration error {error}"
+    bins = ({**row, "bin": f"{row['from']:g} to {row['to']:g}"} for row in tables["reliability"].iter_rows(named=True))
+    wrong = [
+        [row["hidden"], row["named"], str(row["count"])]
+        for row in tables["confusion"].iter_rows(named=True)
+        if row["hidden"] != row["named"] and not (row["hidden"] == OUTSIDE and row["named"].endswith("unknown"))
+    ]
+    mistakes = Sheet(("hidden", "named", "sets"), wrong, "Most frequent mistakes between classes", 12)
+    return [*parts, sheet(bins, RELIABLE, title), sheet(bars, BARS, "Bars"), mistakes]
+
+
+def with_error(row: dict[str, Any] | None) -> str:
+    """`.931(13)`: the value and its standard error in units of its last digit; empty without a row."""
+    if row is None:
+        return ""
+    value = f"{row['value']:.3f}".removeprefix("0" if row["value"] < 1.0 else "")
+    error = 1000.0 * row["standard_error"]
+    return f"{value}({error:.0f})" if np.isfinite(error) else value
+
+
+def reliability_figure(rows: pl.DataFrame) -> Figure:
+    """Reliability diagram: share right against stated probability, bars of two standard errors, and number of sets."""
+    from matplotlib.figure import Figure  # deferred: workers draw nothing
+    from matplotlib.ticker import NullFormatter
+
+    stated, right, count = (rows[name].to_numpy() for name in ("said", "right", "count"))
+    error = 2.0 * of_share(right, count)
+    figure = Figure(figsize=(5.0, 5.6), layout="constrained")
+    axes, below = figure.subplots(2, 1, sharex=True, height_ratios=(4, 1))
+    axes.plot([0.0, 1.0], [0.0, 1.0], color="gray", linewidth=1.0, label="as often as stated")
+    axes.errorbar(stated, right, error, fmt="o", markersize=5, capsize=3, label="data sets, +- 2 standard errors")
+    axes.set(ylabel="share that was right", ylim=(0.0, 1.02), title="Stated with probability p: right in a share p?")
+    axes.legend(loc="lower right", frameon=False)
+    low, high = rows["from"].to_numpy(), rows["to"].to_numpy()
+    below.bar(low, count, high - low, align="edge", edgecolor="white")
+    below.set(yscale="log", ylim=(10.0 ** np.floor(np.log10(max(count.min(), 1))), None))
+    below.set(ylabel="data sets", xlabel="stated probability", xlim=(0.0, 1.02))
+    below.yaxis.set_minor_formatter(NullFormatter())
+    return figure

@@ -235,7 +235,7 @@ def test_measurements_in_other_units(folder: Folder, columns: str, factor: float
 @pytest.mark.parametrize(
     ("words", "place"),
     [
-        ("design arm.toml --runs 8 --out p.csv --picture p.svg", "doe.plan.accuracy.expected_tip"),
+        ("design arm.toml --runs 8 --out p.csv --picture p.svg", "doe.plan.accuracy.tip_beside_random"),
         ("identify arm.toml data.csv --out o.toml", "identification.reuse.with_data_of"),
         ("compare arm.toml --runs 8 --cluster tcp://127.0.0.1:9 --out folder", "doe.jobs.cluster"),
     ],

@@ -18,10 +18,10 @@ from doe.plan.accuracy import (
     criterion_of,
     criterion_values,
     error_at_poses,
-    expected_tip,
     missing_effects,
     observability,
     robust_problem,
+    tip_beside_random,
     tip_jacobians,
     workspace,
 )
@@ -179,7 +179,7 @@ def test_of_a_diagnosed_arm_nothing_is_missing() -> None:
     expected = -replace(case, criterion=average_error(case, poses)).objective(POSTURES) * 0.1**2 / len(POSTURES)
     assert found["model_right"] ** 2 == pytest.approx(expected, rel=1e-9)
     assert (found["effects_missing"], found["effects_missing_prior"]) == (np.inf, np.inf)
-    assert expected_tip(case, POSTURES) == (None, [])
+    assert tip_beside_random(case, POSTURES) == (None, [])
 
 
 def test_of_a_spatial_arm_with_the_prior_of_its_machining() -> None:
@@ -248,12 +248,12 @@ def test_a_plan_beside_random_ones(problem: DesignProblem, monkeypatch: pytest.M
     assert judged.of_plan(POSTURES, judged.wide.scaled_jacobians(POSTURES))[fitted] == pytest.approx(plan)
     with monkeypatch.context() as patched:
         patched.setattr(TipErrors, "of_plan", lambda *a: errors.append((each := of_plan(*a))[fitted]) or each)
-        said, _ = expected_tip(problem, POSTURES, seed=2)
+        said, _ = tip_beside_random(problem, POSTURES, seed=2)
     random, judged_last = np.array(errors[:50]), errors[50]
     assert judged_last == pytest.approx(plan, rel=1e-9)
     assert np.all(random > 0.0)
     figures = judged_last, np.median(random), np.mean(random > judged_last), 50, problem.fit or None
     assert tuple(said.values()) == figures
-    assert said == expected_tip(problem, POSTURES, seed=2)[0] != expected_tip(problem, POSTURES, 3)[0]
-    _, worse = expected_tip(problem, np.tile(POSTURES[:3], (2, 1)), seed=2)
+    assert said == tip_beside_random(problem, POSTURES, seed=2)[0] != tip_beside_random(problem, POSTURES, 3)[0]
+    _, worse = tip_beside_random(problem, np.tile(POSTURES[:3], (2, 1)), seed=2)
     assert "hardly better than random postures, if at all" in worse[0]

@@ -18,8 +18,7 @@ from doe import DesignProblem, score
 from doe.bounds.certificate import Bound
 from doe.cli import main
 from doe.jobs import frame_of
-from doe.report.studies import comparison_parts
-from doe.studies.comparison import compare, evaluated, summary
+from doe.studies.comparison import compare, comparison_parts, evaluated, summary
 from identification import Arm, InputError, Model, Plan
 from tests.doe.bounds.test_planar_theorem import complex_log_det
 
@@ -139,7 +138,7 @@ def test_verb(tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("in_this_process")
 def test_ctrl_c_after_the_last_row_says_that_rows_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("doe.report.studies.comparison_parts", Mock(side_effect=KeyboardInterrupt))
+    monkeypatch.setattr("doe.studies.comparison.comparison_parts", Mock(side_effect=KeyboardInterrupt))
     arm, out = tmp_path / "arm.toml", tmp_path / "out"
     arm.write_text("links_mm = [260.0, 180.0]\n")
     options = [str(arm), "--runs", "3", "--solvers", "analytic", "--repeats", "1", "--out", str(out)]

@@ -16,8 +16,7 @@ from doe import jobs
 from doe.cli import main
 from doe.jobs import frame_of, seed_of
 from doe.problem.postures import random_postures
-from doe.report.studies import monte_carlo_parts
-from doe.studies.monte_carlo import Study, pooled_rows, run_study
+from doe.studies.monte_carlo import Study, monte_carlo_parts, pooled_rows, run_study
 from identification import Arm, Calibration, Conditions, InputError, Model, Plan, without_prior
 from identification.instruments import Tracker
 from identification.replications import TruthTable, true_values

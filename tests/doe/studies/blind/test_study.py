@@ -17,12 +17,12 @@ from click.testing import CliRunner
 
 from doe.cli import main
 from doe.jobs import frame_of
-from doe.report.studies import blind_parts
 from doe.studies.blind import cells
 from doe.studies.blind import study as blind
 from doe.studies.blind.cells import TABLE
 from doe.studies.blind.study import (
     KEEPS,
+    blind_parts,
     blind_study,
     calibration,
     contradictions,
