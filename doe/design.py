@@ -17,7 +17,7 @@ from doe.plan.accuracy import ExpectedDeviations, error_at_poses, plan_jacobians
 from doe.plan.spacing import places_of_free_joint
 from doe.problem.model import turns
 from doe.problem.problem import DesignProblem
-from identification import Array, InputError, Plan, Status, spectrum
+from identification import InputError, Plan, Status, spectrum
 from identification.document import Document, Sheet, count_of, in_a_sentence, number
 
 BEST_KNOWN = "best known"  # what a plan is of which no bound says that it is optimal
@@ -42,11 +42,6 @@ class Design(PlanOfProblem):
     solver: str | None = None
     starts: int = 0
     seconds: float = 0.0
-
-    @cached_property
-    def information(self) -> Array:
-        """(p, p) M' of the plan."""
-        return self.problem.information(self.plan.postures, self.plan.weights)
 
     @cached_property
     def not_identifiable(self) -> tuple[str, ...]:

@@ -90,10 +90,10 @@ class PlanOfProblem(Documented):
     problem: DesignProblem
     plan: Plan
 
-    @property
+    @cached_property
     def information(self) -> Array:
         """(p, p) M' of the plan."""
-        raise NotImplementedError
+        return self.problem.information(self.plan.postures, self.plan.weights)
 
     @cached_property
     def value(self) -> float:

@@ -33,13 +33,23 @@ from doe.bounds.planar_theorem import closed_form_bound
 from doe.bounds.weights import EXACT, optimal_weights, solve_program, sparsest
 from doe.plan.ascent import PlanAscent
 from doe.problem.constraints import Derivatives
-from doe.problem.postures import grid, listed_candidates, put_inside, random_postures, some_of
-from doe.problem.problem import DesignProblem, PriorInformation, Stop, information_of_each, never
+from doe.problem.problem import (
+    DesignProblem,
+    PriorInformation,
+    Stop,
+    grid,
+    information_of_each,
+    listed_candidates,
+    never,
+    put_inside,
+    random_postures,
+    some_of,
+)
 from identification import Array, InputError, JobError, newton_ascent
 
 # (p, p) gradient, tr(G M), and (k, n) postures in the working set -> postures to add (j, n), best first, and the
-# largest sensitivity of all that was visited; with the gap (relative) up to which it need not be asked again
-Stage = tuple[Callable[[Array, float, Array], tuple[Array, float]], float]
+# largest sensitivity of all that was visited
+Stage = Callable[[Array, float, Array], tuple[Array, float]]
 
 SAME = 1e-7  # [rad] postures nearer than this are one
 # candidates up to which a solver's one big program works; beyond, Clarabel returns errors and SCS takes gigabytes
@@ -218,14 +228,14 @@ def column_generation(
     # E-optimal weights come from a semidefinite program, which is less accurate than Newton's method
     goal = 2.0 * tolerance if rough else max(tolerance, 1e-6) if problem.criterion.name == "E" else tolerance
     sample, start, everything = 20_000, candidates, CandidateSet(problem, candidates, prior)
-    stages: list[Stage] = [(everything.price, goal)]
+    stages: list[Stage] = [everything.price]
     if len(candidates) > 4 * sample:  # some of very many are priced first
         goal = max(goal, 1e-6) if problem.many_parameters else goal  # a pass takes seconds
         start = some_of(candidates, sample)
-        stages = [(CandidateSet(problem, start, prior).price, goal), (everything.price, goal)]
+        stages = [CandidateSet(problem, start, prior).price, everything.price]
     # rough weights are of many candidates at once: four million entries of their Jacobians, 2000 candidates at least
     most = max(2000, 4_000_000 // (problem.model.dimension * problem.parameters)) if rough else 6 * problem.parameters
-    design, _ = generate_columns(problem, prior, some_of(start, most), stages, tolerance, stop)
+    design, _ = generate_columns(problem, prior, some_of(start, most), stages, goal, tolerance, stop)
     now = perf_counter()
     end = now + max(2.0, now - began)
     g = everything.sensitivities(design.gradient, lambda: perf_counter() > end and stop())
@@ -253,10 +263,10 @@ def continuous_design(
     began, prior, many = perf_counter(), problem.prior.per_new_run(runs), problem.many_parameters
     tolerance = max(tolerance, 1e-6) if problem.criterion.name == "E" else tolerance
     everything, generator = ContinuousSet(problem, prior, also), np.random.default_rng(0)
-    stages: list[Stage] = [(partial(everything.price, generator=generator, stop=stop), tolerance)]
+    stages: list[Stage] = [partial(everything.price, generator=generator, stop=stop)]
     if not many:
         start = some_of(everything.starts, 6 * problem.parameters)
-        stages = [(partial(everything.price, stop=stop), tolerance), *stages]
+        stages = [partial(everything.price, stop=stop), *stages]
     elif also is None:  # a long plan that was climbed on gradients: nearly the support of the best weights
         anywhere = random_postures(problem, 3 * problem.parameters, np.random.default_rng(0))
         start = PlanAscent(problem, runs or len(anywhere))(anywhere, stop=stop)
@@ -265,7 +275,7 @@ def continuous_design(
     rigorous, goal = False, max(tolerance, proof)
     jacobians = trigonometric_jacobian(problem) if proof > 0.0 and not problem.constraints and not stop() else None
     for _ in range(20):  # attempts, each with a posture that the multistart has missed
-        design, gap = generate_columns(problem, prior, start, stages, tolerance, stop)
+        design, gap = generate_columns(problem, prior, start, stages, tolerance, tolerance, stop)
         thorough = generator if stop() and not many else None
         largest = max(design.level + gap, everything.best(design.gradient, design.plan.postures, thorough)[1][0])
         if jacobians is None or stop():
@@ -288,12 +298,13 @@ def generate_columns(
     prior: PriorInformation,
     start: Array,
     stages: Sequence[Stage],
+    goal: float,
     tolerance: float,
     stop: Stop = never,
 ) -> tuple[ApproximateDesign, float]:
     """Optimal weights, and the gap (absolute) that the last stage found; -inf where `stop` came first.
 
-    tolerance : of the gap, for which weights are as accurate as needed
+    goal : gap (relative) at which to stop;  tolerance : of the gap, for which weights are as accurate as needed
     Raises `JobError` where the postures to start from (k, n) do not identify all parameters.
     """
     criterion, comparable = problem.criterion, problem.comparable
@@ -313,7 +324,7 @@ def generate_columns(
             break
         weights, gradient = optimal_weights(jacobians, criterion, prior, accuracy, stop)
         level = float(np.sum(gradient * prior.mixture(jacobians, weights)))
-        for price, goal in stages:
+        for price in stages:
             offers, largest = price(gradient, level, postures)
             gap = largest - level
             new = [np.abs(comparable(postures) - offer).max(axis=1).min() > SAME for offer in comparable(offers)]

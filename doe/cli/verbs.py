@@ -102,7 +102,7 @@ def design_problem(
 def tell_of_candidates(path: Path, problem: DesignProblem, postures: Any) -> None:
     """Warn of those (N, n) of a file that are not allowed. Raises `InputError`, with the file's name, for none that
     is."""
-    from doe.problem.postures import listed_candidates
+    from doe.problem.problem import listed_candidates
 
     with InputError.at(path):
         left_out = len(postures) - len(listed_candidates(problem, postures))

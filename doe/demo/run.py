@@ -13,8 +13,7 @@ from matplotlib.figure import Figure
 
 from doe.design import Design
 from doe.plan.moves import drive
-from doe.problem.postures import random_postures
-from doe.problem.problem import DesignProblem
+from doe.problem.problem import DesignProblem, random_postures
 from doe.report.figures import AFTER, BEFORE, LIMIT, certificate_figure, draw_arm
 from doe.report.plan import plan_section
 from doe.solvers import solve

@@ -26,8 +26,7 @@ from scipy.special import ndtr
 from doe.criteria import information_matrix, log_determinants
 from doe.plan.spacing import allowed_value
 from doe.problem.model import DesignModel, offered
-from doe.problem.postures import listed_candidates, random_postures
-from doe.problem.problem import information_of_each
+from doe.problem.problem import information_of_each, listed_candidates, random_postures
 from doe.solvers import Solver, solve
 from doe.solvers.solver import LONG_PLAN, LONG_PLAN_SECONDS, Budget
 from identification import Array, Plan, Progress, Status, design_model, require, spectrum

@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtr
 
-from doe.problem.postures import random_postures
-from doe.problem.problem import DesignProblem, Stop, never
+from doe.problem.problem import DesignProblem, Stop, never, random_postures
 from identification import Array, InputError, Plan, Status, require
 from identification.document import Document, Documented, Sheet
 

@@ -24,8 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from doe.criteria import NAMES, A, Criterion, D, Ds, DStar, E, I, information_matrix, inverses
 from doe.problem.model import NEEDS_SIGMA, offered, offers
-from doe.problem.postures import connected, half_at_limits, listed_candidates, random_postures
-from doe.problem.problem import DesignProblem
+from doe.problem.problem import DesignProblem, connected, half_at_limits, listed_candidates, random_postures
 from identification import Array, InputError, ParameterSet, require, spectrum
 
 
@@ -304,9 +303,7 @@ class TipErrors:
         return information_matrix(self._points) / len(self._points)
 
 
-def tip_beside_random(
-    problem: DesignProblem, postures: Array, seed: int = 0
-) -> tuple[dict[str, Any] | None, list[str]]:
+def tip_beside_random(problem: DesignProblem, postures: Array, seed: int = 0) -> tuple[Any, list[str]]:
     """What a plan (m, n) promises beside 50 random ones, fitted in the same way, where the arm may have what its model
     lacks: RMS distances [mm] as the key `expected_tip` (identification/files/README.md, "JSON keys"), and in words.
 

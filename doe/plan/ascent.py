@@ -17,8 +17,7 @@ from __future__ import annotations
 import numpy as np
 
 from doe.criteria import information_matrix
-from doe.problem.postures import INSIDE, put_inside
-from doe.problem.problem import DesignProblem, Stop, never
+from doe.problem.problem import INSIDE, DesignProblem, Stop, never, put_inside
 from identification import Array
 
 

@@ -40,8 +40,7 @@ from doe.plan.spacing import best_beside
 from doe.problem.clearance import ROUNDING, Clearance
 from doe.problem.constraints import KINDS, Constraint, Walls
 from doe.problem.model import joint_units, turns
-from doe.problem.postures import random_postures
-from doe.problem.problem import DesignProblem, Stop, never
+from doe.problem.problem import DesignProblem, Stop, never, random_postures
 from identification import Array, Plan
 from identification.document import count_of
 

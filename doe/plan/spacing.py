@@ -11,8 +11,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from doe.criteria import information_matrix
-from doe.problem.postures import half_at_limits, listed_candidates
-from doe.problem.problem import DesignProblem
+from doe.problem.problem import DesignProblem, half_at_limits, listed_candidates
 from identification import Array
 
 ROUNDING = 1.0 + 1e-9

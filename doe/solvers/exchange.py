@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 
 from doe.criteria import Ranking, information_matrix
 from doe.plan.ascent import PlanAscent
-from doe.problem.postures import listed_candidates, random_postures
-from doe.problem.problem import DesignProblem, information_of_each
+from doe.problem.problem import DesignProblem, information_of_each, listed_candidates, random_postures
 from doe.solvers.solver import Budget, Offer
 from identification import Array, require
 
@@ -81,8 +80,11 @@ class Exchange:
                 again = repeats or len(postures) < runs  # where hardly any posture is allowed
                 chosen = np.array([generator.choice(len(postures), runs, replace=again) for _ in range(count)])
                 batch = Batch(problem, postures[chosen], postures, chosen)
-            else:
-                batch = Batch(problem, self.begin(problem, count, runs, generator), self.grid(problem))
+            else:  # on the grid, where many optimal plans are, so that a start ends exactly at one
+                grid, plans = self.grid(problem), np.tile((problem.lower + problem.upper) / 2.0, (count, runs, 1))
+                for joint in problem.searched_joints:  # those that play no part stay in the middle
+                    plans[..., joint] = grid[joint, generator.integers(self.levels, size=(count, runs))]
+                batch = Batch(problem, plans, grid)
             yield Offer(batch.plans[0])  # something to return if the user stops during the first batch
             plans, values = batch.improved(generator, budget)
             if climb is None:
@@ -97,14 +99,6 @@ class Exchange:
                     climbed.append(climb(plan, accuracy, budget.ended))
                     yield Offer(climbed[-1], independent=True)
             yield Offer(plans[0], count - 1)
-
-    def begin(self, problem: DesignProblem, count: int, runs: int, generator: Generator) -> Array:
-        """(s, m, n) random plans on the grid, where many optimal plans are, so that a start ends exactly at one; joints
-        that play no part stay in the middle."""
-        grid, plans = self.grid(problem), np.tile((problem.lower + problem.upper) / 2.0, (count, runs, 1))
-        for joint in problem.searched_joints:
-            plans[..., joint] = grid[joint, generator.integers(grid.shape[1], size=(count, runs))]
-        return plans
 
     def grid(self, problem: DesignProblem) -> Array:
         """(n, L) values of every joint, limits included."""

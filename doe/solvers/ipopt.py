@@ -26,8 +26,7 @@ from numpy.random import Generator
 
 from doe.criteria import information_matrix
 from doe.plan.ascent import PlanAscent
-from doe.problem.postures import random_postures
-from doe.problem.problem import DesignProblem
+from doe.problem.problem import DesignProblem, random_postures
 from doe.solvers.solver import Budget, Offer
 from identification import Array, require
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from time import perf_counter
 from typing import NamedTuple, Protocol
 
@@ -41,23 +41,12 @@ class Budget:
     starts: int
     deadline: float = math.inf
     may_agree: bool = True
-    began: float = field(default_factory=perf_counter)
     tell: Callable[[], object] = lambda: None
 
     def ended(self) -> bool:
         """True once the time is up."""
         self.tell()
         return perf_counter() >= self.deadline
-
-    def used(self, starts: int) -> float:
-        """Starts used, or the fraction of the time limit used times the number of starts, whichever is more."""
-        limit = max(self.deadline - self.began, 1e-9)
-        return max(starts, self.starts * min(1.0, (perf_counter() - self.began) / limit))
-
-    def part(self, share: float) -> Budget:
-        """The same with that share of the time that is left."""
-        now = perf_counter()
-        return replace(self, deadline=now + share * (self.deadline - now))
 
 
 class Solver(Protocol):

@@ -24,8 +24,7 @@ from doe.bounds.planar_theorem import applies, closed_form_bound, optimal_plans
 from doe.design import Design
 from doe.plan.ascent import PlanAscent
 from doe.plan.spacing import allowed_value, places_of_free_joint, separated, spread_free_joints, with_additions
-from doe.problem.postures import listed_candidates, random_postures
-from doe.problem.problem import DesignProblem
+from doe.problem.problem import DesignProblem, listed_candidates, random_postures
 from doe.solvers.exchange import Exchange
 from doe.solvers.ipopt import Ipopt
 from doe.solvers.solver import LONG_PLAN, LONG_PLAN_SECONDS, Budget, Offer, Solver
@@ -149,12 +148,16 @@ def solve(
 
         def tell() -> None:
             first = not np.isfinite(best_value)
-            progress(whole.used(done), whole.starts, "the first plan" if first else f"best {best_value:.7g}")
+            waited = min(1.0, (perf_counter() - began) / max(deadline - began, 1e-9))
+            # starts, or time, whichever has more behind it
+            used = max(done, waited * whole.starts)
+            progress(used, whole.starts, "the first plan" if first else f"best {best_value:.7g}")
 
-        whole = Budget(starts or chosen.starts_for(problem), deadline, starts is None, began, tell)
+        whole = Budget(starts or chosen.starts_for(problem), deadline, starts is None, tell)
         # a bound for many parameters takes seconds, which are no part of the search's time; a theorem takes none;
         # half the time is for what comes first, the search or the bound
-        first, late = whole.part(0.5), bound is None and problem.many_parameters and not applies(problem)
+        first = replace(whole, deadline=0.5 * (perf_counter() + deadline))
+        late = bound is None and problem.many_parameters and not applies(problem)
         best_bound = None if late else bound or best_known_bound(problem, runs, first.ended)
         budget = first if late else whole
         try:

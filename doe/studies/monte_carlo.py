@@ -17,8 +17,7 @@ import numpy as np
 import polars as pl
 
 from doe.jobs import Columns, Key, Row, canonical, cell_text, parquet, run_tasks, sheet, short_hash
-from doe.problem.postures import random_postures
-from doe.problem.problem import DesignProblem
+from doe.problem.problem import DesignProblem, random_postures
 from doe.solvers import SOLVERS, solve
 from identification import Arm, Array, InputError, JobError, Plan, Replications, StudyFile, design_model
 from identification.files.io import write_together

@@ -102,7 +102,7 @@ def plan_in_view_of_a_tracker() -> tuple[float, str]:
     """Against the bound for lists of 20,000 allowed random postures."""
     from doe import solve
     from doe.bounds.column_generation import column_generation
-    from doe.problem.postures import random_postures
+    from doe.problem.problem import random_postures
 
     problem = six_axes()[1]
     design, seconds = timed(lambda: solve(problem, 30))

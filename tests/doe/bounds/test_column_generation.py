@@ -26,8 +26,7 @@ from doe.bounds.column_generation import (
 )
 from doe.bounds.planar_theorem import closed_form_bound
 from doe.criteria import A, Criterion, D, Ds, E, I
-from doe.problem.postures import grid, listed_candidates, random_postures
-from doe.problem.problem import PriorInformation
+from doe.problem.problem import PriorInformation, grid, listed_candidates, random_postures
 from identification import Arm, Array, EffectSpec, InputError, JobError, Status
 from identification.workspace import KeepOut, WorkspaceBox
 from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, OFFSET, problem, random_box, regression
@@ -186,7 +185,7 @@ def test_a_rough_answer_is_within_its_gap_of_the_optimum(criterion: Criterion, d
     assert exact.value <= exact.bound.value <= found.bound.value + 1e-9
     assert 0.97 < found.efficiency_lower_bound <= 1.0
     every = CandidateSet(case, candidates, case.prior.per_new_run(20))
-    few, gap = generate_columns(case, every.prior, candidates[:40], [(every.price, 0.02)], 0.01)
+    few, gap = generate_columns(case, every.prior, candidates[:40], [every.price], 0.02, 0.01)
     assert (few.value <= exact.value + 1e-9, gap <= 0.02 * abs(few.level)) == (True, True)
 
 
@@ -199,7 +198,7 @@ def test_without_time_equal_weights_prove_a_bound(criterion: Criterion) -> None:
     """No weights on the list are better than what the gradient at equal ones allows: none of 200 random mixtures."""
     case, prior = problem(FOUR, criterion=criterion), PriorInformation()
     jacobians = case.scaled_jacobians(POSTURES)
-    found, _ = generate_columns(case, prior, POSTURES[:40], [], 1e-9, lambda: True)
+    found, _ = generate_columns(case, prior, POSTURES[:40], [], 1e-9, 1e-9, lambda: True)
     assert sum(found.plan.shares) == pytest.approx(1.0)
     np.testing.assert_allclose(found.information, np.einsum("kda,kdb->ab", *[jacobians[:40]] * 2) / 40.0, atol=1e-12)
     largest = max(float(np.trace(found.gradient @ b.T @ b)) for b in jacobians)

@@ -8,7 +8,7 @@ import pytest
 from doe import DesignProblem
 from doe.criteria import A, E
 from doe.plan.ascent import PlanAscent
-from doe.problem.postures import random_postures
+from doe.problem.problem import random_postures
 from identification import Array
 from tests.doe.arms import FOUR, problem
 from tests.doe.problem.test_spatial_constraints import ARM

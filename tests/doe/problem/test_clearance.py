@@ -15,7 +15,7 @@ from doe import DesignProblem, solve
 from doe.plan.ascent import PlanAscent
 from doe.problem.clearance import Clearance, from_box, nearest_to_box, shortest
 from doe.problem.constraints import Walls, constraints_of
-from doe.problem.postures import put_inside, random_postures
+from doe.problem.problem import put_inside, random_postures
 from identification import Arm, Array, InputError, Model, design_model
 from identification.kinematics.frames import pose
 from identification.workspace import Body, Cell, LineOfSight

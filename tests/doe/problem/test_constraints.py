@@ -11,7 +11,7 @@ import pytest
 from doe import DesignProblem
 from doe.bounds.planar_theorem import closed_form_bound
 from doe.problem.constraints import LINK_RADIUS, Expression, constraints_of
-from doe.problem.postures import random_postures
+from doe.problem.problem import random_postures
 from doe.solvers import Random, solve
 from identification import Arm, Calibration, InputError, Model
 from identification.workspace import Body, Cell, KeepOut, LineOfSight, WorkspaceBox

@@ -19,7 +19,7 @@ from doe.discrimination.t_optimal import RivalPredictions, discriminate
 from doe.plan.accuracy import ExpectedDeviations, TipErrors, robust_problem
 from doe.problem.constraints import Expression
 from doe.problem.model import REQUIRED
-from doe.problem.postures import grid, listed_candidates
+from doe.problem.problem import grid, listed_candidates
 from identification import Array, InputError, Measurements, Parameter, ParameterSet, diagnose, estimate, vectorize
 from tests.doe.arms import ECCENTRICITY, FOUR, OFFSET, problem
 

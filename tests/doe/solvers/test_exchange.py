@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from doe.bounds.certificate import Bound
-from doe.problem.postures import random_postures
+from doe.problem.problem import random_postures
 from doe.solvers import Exchange, solve
 from doe.solvers.solver import Budget
 from identification import Arm, InputError

@@ -15,7 +15,7 @@ from click.testing import CliRunner
 from doe import jobs
 from doe.cli import main
 from doe.jobs import frame_of, seed_of
-from doe.problem.postures import random_postures
+from doe.problem.problem import random_postures
 from doe.studies.monte_carlo import Study, monte_carlo_parts, pooled_rows, run_study
 from identification import Arm, Calibration, Conditions, InputError, Model, Plan, without_prior
 from identification.instruments import Tracker
