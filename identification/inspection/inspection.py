@@ -204,8 +204,9 @@ def _ranges(arm: Arm, postures: Array) -> tuple[list[dict[str, Any]], list[list[
         has_limits = np.isfinite(lower) and (doubts.limited(arm)[j - 1] or j in tied)
         shown_limits = (f"{x:.2f}" if has_limits else "none" for x in (lower, upper))
         rows.append([str(j), f"{low:.2f}", f"{high:.2f}", *shown_limits, unit, str(count)])
-        # of a joint that turns by less than 5 deg its own errors are hardly seen, whatever others in its column do
-        if np.ptp(postures[:, j - 1]) < (np.radians(5.0) if kind == REVOLUTE else 0.0):
+        # of a joint that turns by less than 5 deg, or slides by less than 1 % of its way, its own errors are hardly
+        # seen, whatever others in its column do
+        if np.ptp(postures[:, j - 1]) < (np.radians(5.0) if kind == REVOLUTE else 0.01 * (upper - lower)):
             still.append(j)
     hardly = "joint {} hardly moves: its" if len(still) == 1 else "joints {} hardly move: their"
     return entries, rows, [f"{hardly.format(', '.join(map(str, still)))} own errors cannot be seen"] * bool(still)

@@ -29,6 +29,12 @@ from identification.model import Model
 from identification.model.placed import one_unnamed, placed_model, spread_rows
 
 UNITS = {10.0: "centimetres", 100.0: "decimetres", 1000.0: "metres", 25.4: "inches", 304.8: "feet"}  # to millimetres
+UNITS_OF_JOINTS = {  # what joints are multiplied by -> which, their unit, and how their columns end
+    180.0 / np.pi: ("joint angles", "radians", "_rad"),
+    np.pi / 180.0: ("joint angles", "degrees", "_deg"),
+    1e3: ("sliding joints", "metres", "_m"),
+    1e-3: ("sliding joints", "millimetres", "_mm"),
+}
 DRAWN = 0.02  # of the reach: what may well be the drawing's errors
 CLEARLY = 3.0  # times better: another unit or reading is suspected
 FAR = 10.0  # times the median distance: 15 standard deviations of normal errors in three coordinates
@@ -45,7 +51,8 @@ class Reading:
     mirrored : the positions are those of a mirror image: their last axis is read the other way
     sums : (n, n) how often column j has the angle of joint i in it: 1 on the diagonal, and 1 or -1 of joints before j
         where j is counted from farther back than from the link before; empty: no joint is
-    turned, scaled : what turning joints and positions are multiplied by, that were written in other units
+    units : what each joint is multiplied by, 1 where it is not written in another unit; empty: none is
+    scaled : what the positions are multiplied by that were written in another unit
     base : (4, 4) [mm] where the drawing then explains the positions best;  rms : distance [mm] that it leaves
     """
 
@@ -54,7 +61,7 @@ class Reading:
     quarters: tuple[float, ...]
     mirrored: bool = False
     sums: tuple[tuple[int, ...], ...] = ()
-    turned: float = 1.0
+    units: tuple[float, ...] = ()
     scaled: float = 1.0
     base: Array | None = field(default=None, compare=False)
     rms: float = field(default=np.inf, compare=False)
@@ -69,7 +76,7 @@ class Reading:
         """How many things are read differently."""
         swapped = int(np.count_nonzero(self.order - np.arange(len(self.order))))
         zeros = int(np.count_nonzero(self.quarters))
-        others = (self.mirrored, bool(self.sums), self.turned != 1, self.scaled != 1)
+        others = (self.mirrored, bool(self.sums), self.other_units)
         return swapped // 2 + zeros + self.signs.count(-1) + sum(others)
 
     @property
@@ -80,7 +87,7 @@ class Reading:
     @property
     def other_units(self) -> bool:
         """Angles or lengths are in others."""
-        return (self.turned, self.scaled) != (1.0, 1.0)
+        return any(times != 1.0 for times in (*self.units, self.scaled))
 
     @property
     def zeros(self) -> tuple[float, ...]:
@@ -115,9 +122,11 @@ class Reading:
     def words(self) -> tuple[str, ...]:
         """What is different, each in a sentence; joints and columns from 1."""
         sentences = []
-        if self.turned != 1.0:
-            unit, columns = ("radians", "_rad") if self.turned > 1.0 else ("degrees", "_deg")
-            sentences.append(f"the joint angles are in {unit} (name the columns q1{columns}..)")
+        for factor, (joints, unit, column) in UNITS_OF_JOINTS.items():
+            if (first := [j for j, times in enumerate(self.units, start=1) if times == factor]) and len(first) > 1:
+                sentences.append(f"the {joints} are in {unit} (name the columns q{first[0]}{column}..)")
+            elif first:
+                sentences.append(f"joint {first[0]} is in {unit} (name its column q{first[0]}{column})")
         if self.scaled != 1.0:
             times, larger = max(self.scaled, 1.0 / self.scaled), self.scaled > 1.0
             large, small = ("arm file", "measurements")[:: 1 if larger else -1]
@@ -211,29 +220,39 @@ def _of_drawing(arm: Arm, measurements: Measurements, search: bool) -> Readings:
     """`read_differently` of an arm as drawn."""
     chain, kinds, (q, x, few) = arm.chain, arm.joint_types, _rows(arm, measurements)
     slides, frames_at = np.array([kind == PRISMATIC for kind in kinds]), chain.frames_at({})
-    turning, mirrors = np.flatnonzero(~slides).tolist(), chain.instrument.reads_positions
+    turning, sliding = np.flatnonzero(~slides).tolist(), np.flatnonzero(slides).tolist()
+    mirrors = chain.instrument.reads_positions
     hopeless = np.inf  # of what is left more than this: no hope, and a search for lengths may end early
 
     def placed(reading: Reading) -> Reading:
         """With where the drawing stands by it."""
         positions = x * reading.scaled
         positions[:, -1] *= -1.0 if reading.mirrored else 1.0
-        frames = frames_at(reading.postures(q * np.where(slides, 1.0, reading.turned)))[:, -2]  # of the tip
+        frames = frames_at(reading.postures(q * (reading.units or 1.0)))[:, -2]  # of the tip
         tool = np.zeros(3) if TOOL in chain.settled else None
         place = chain.instrument.place(Unplaced(frames, positions, chain.reach, tool=tool, hopeless=hopeless))
         return replace(reading, base=place.base, rms=place.rms)
 
-    written = Reading(tuple(range(arm.links)), (1,) * arm.links, (0,) * arm.links)
+    as_said = (1.0,) * arm.links
+    written = Reading(tuple(range(arm.links)), (1,) * arm.links, (0,) * arm.links, units=as_said)
     if few:
         return Readings(placed(written))
 
-    # other units: radians in `_deg` columns, degrees in `_rad` columns, where all are below 7 deg or one is above 7 rad
-    largest, turns = float(np.abs(q[:, turning]).max(initial=0.0)), [1.0]
-    if largest > 0.0:
-        turns += [180.0 / np.pi] if largest < np.radians(7.0) else [np.pi / 180.0] if largest > 7.0 else []
-    tips = [chain.tip_frames(q * np.where(slides, 1.0, k))[:, : arm.dimension, 3] for k in turns]
+    def in_units(units: tuple[float, ...], joints: list[int]) -> list[tuple[float, ...]]:
+        """These units, and with the joints in another one: radians where all of `_deg` columns are below 7 deg, degrees
+        where one of `_rad` columns is above 7 rad, metres or millimetres where slides are far from the reach."""
+        largest, (small, large) = float(np.abs(q[:, joints]).max(initial=0.0)), (np.radians(7.0), 7.0)
+        factors = (180.0 / np.pi, np.pi / 180.0)
+        if slides[joints].all():
+            factors, (small, large) = (1e3, 1e-3), (0.02 * arm.reach, 50.0 * arm.reach)
+        tried = [factors[0]] if 0.0 < largest < small else [factors[1]] if largest > large else []
+        return [units, *(tuple(np.where(np.isin(range(arm.links), joints), k, units).tolist()) for k in tried)]
+
+    both = [each for units in in_units(as_said, turning) for each in in_units(units, sliding)]
+    alone = [each for j in range(arm.links) for each in in_units(as_said, [j])[1:]]
     # how far apart the drawing then has the positions, and they are; of contacts nothing is read
-    drawn = {k: max(_spread(points), np.finfo(float).tiny) for k, points in zip(turns, tips, strict=True)}
+    tips = {units: chain.tip_frames(q * units)[:, : arm.dimension, 3] for units in (*both, *alone)}
+    drawn = {units: max(_spread(points), np.finfo(float).tiny) for units, points in tips.items()}
     spread, readings = 0.0 if chain.instrument.contact else _spread(x), []
 
     def least(read: Callable[[float], Reading], values: Array, tolerance: float) -> float:
@@ -246,16 +265,16 @@ def _of_drawing(arm: Arm, measurements: Measurements, search: bool) -> Readings:
         near, step = min(values, key=left), values[1] - values[0]
         return float(minimize_scalar(left, bounds=(near - step, near + step), options={"xatol": tolerance}).x)
 
-    for other in (replace(written, turned=k) for k in turns):
+    for other in (replace(written, units=units) for units in drawn):
         readings.append(other)
         # lengths some times those of the other file: no drawing is wrong by half or twice the size; what repeats of one
         # posture scatter by has no ratio to it
-        if spread and not 0.5 < (ratio := drawn[other.turned] / spread) < 2.0:
+        if spread and not 0.5 < (ratio := drawn[other.units] / spread) < 2.0:
             two = np.log(2.0)  # a point far from the tip adds to the spread of positions
             k = least(other.with_scale, np.log(ratio) + two * np.arange(-3, 4), 1e-4)
             readings += [other.with_scale(k)] if abs(k) > two else []
     if len(readings) > 1 and max(drawn.values()) >= 1e-3 * arm.reach:
-        share = {reading: placed(reading).rms / drawn[reading.turned] for reading in readings}
+        share = {reading: placed(reading).rms / drawn[reading.units] for reading in readings}
         best = min(share, key=share.__getitem__)
         if CLEARLY * share[best] < share[written]:
             better = placed(best)

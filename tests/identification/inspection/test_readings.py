@@ -325,6 +325,16 @@ def test_angles_in_another_unit() -> None:
         ):
             wrong = replace(good, postures=good.postures * (factor / np.pi if factor > 4 else np.pi / 180.0))
             assert certain(wrong, arm).startswith(f"it looks as if the joint angles are in {unit})")
+    gantry = Arm(chain_of([replace(SLIDE, alpha=QUARTER), replace(SLIDE, alpha=-QUARTER), DHRow(200.0, 0.0, 0.0)]))
+    q = np.random.default_rng(4).uniform(0.0, 300.0, (30, 3)) * [1.0, 1.0, 0.01]
+    slid = Measurements(q, np.c_[200.0 * np.cos(q[:, 2]), 200.0 * np.sin(q[:, 2]) - q[:, 1], q[:, 0]])
+    for arm, rows, factors, said in (
+        (ARM, measured(20), [1.0, np.pi / 180.0, 1.0], "joint 2 is in radians (name its column q2_rad)"),
+        (gantry, slid, [1e-3, 1e-3, 1.0], "the sliding joints are in metres (name the columns q1_m..)"),
+        (gantry, slid, [1e3, 1.0, 1.0], "joint 1 is in millimetres (name its column q1_mm)"),
+    ):
+        assert certain(rows, arm) == ""
+        assert certain(replace(rows, postures=rows.postures * factors), arm).startswith(f"it looks as if {said}")
     whole_turns = simulated(3.0)  # an axis that counts on
     assert data_warnings(replace(whole_turns, postures=whole_turns.postures + 20.0 * np.pi), FLAT) == []
 
