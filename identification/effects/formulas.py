@@ -434,7 +434,8 @@ add_effect(
     "measurement_scale",
     "instrument scale is wrong: p (1 + s)",
     [Number("s", "1", 5e-5, REACH)],  # typical: as of `axes_skew`
-    alias="a common factor of all link lengths",
+    alias="a common factor of all link lengths, where no joint slides",
+    prior=RARE,
     instrument=lambda self, p, values: values[0] * p,
 )
 add_effect(

@@ -263,8 +263,10 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Lib
     unseen = frozenset[int]() if rows is None else untested_joints(Fitted(base, base.values, rows))
     members, unlisted, skipped = list[Block](), list[Block](), dict[str, str]()
     of_no_size = arm.chain.instrument.contact and arm.chain.size_is_open[0] != ""
+    # a slide shows what the instrument calls a millimetre
+    aliases = {name: cls.alias for name, cls in classes.items() if cls.alias and PRISMATIC not in arm.joint_types}
     for name, cls in classes.items():
-        if cls.alias or cls.scatter or cls.nuisance or cls.of_commands or cls.tabulated:
+        if name in aliases or cls.scatter or cls.nuisance or cls.of_commands or cls.tabulated:
             continue  # does not act on the mean, is no fault of the arm, or cannot be told from the base parameters
         if "distance" in cls.needs - available or (cls.of_positions and not arm.chain.instrument.reads_positions):
             continue  # of another instrument: nothing that these data lack
@@ -293,7 +295,6 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Lib
             (unlisted if cls.unlisted else members).extend(blocks)
             if not blocks:
                 reasons[spec.key] = "already in the arm's model"
-    aliases = {name: cls.alias for name, cls in classes.items() if cls.alias is not None}
     return Library(arm, tuple(members), tuple(unlisted), skipped, aliases)
 
 

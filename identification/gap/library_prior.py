@@ -53,10 +53,7 @@ class LibraryPrior:
 
 
 def library_prior(
-    arm: Arm,
-    rows: Measurements | None = None,
-    names: Sequence[str] | None = None,
-    fastest: float = np.inf,
+    arm: Arm, rows: Measurements | None = None, names: Sequence[str] | None = None, fastest: float = np.inf
 ) -> LibraryPrior:
     """A prior on all effects of the library that the arm may have and that rows can show.
 

@@ -140,9 +140,10 @@ def test_a_slide_has_play_but_no_encoder_disc() -> None:
     (play,) = (row for row in found.named.to_json()["parameters"] if row["name"] == "backlash:1.b")
     assert play["unit"] == "mm"
     assert abs(play["value"] - 0.06) < 4.0 * play["std"] < 0.06
-    skipped = hypotheses(arm, frozenset(), Rows.of(Measurements(q, positions))).skipped
-    assert {"encoder_eccentricity:1", "joint_hysteresis:1"} <= {*skipped}
-    assert "gear_ratio:1" not in skipped
+    library = hypotheses(arm, frozenset(), Rows.of(Measurements(q, positions)))
+    assert {"encoder_eccentricity:1", "joint_hysteresis:1"} <= {*library.skipped}
+    assert {"gear_ratio:1", "measurement_scale"} <= {block.label for block in library.members}
+    assert not library.aliases
 
 
 def test_a_moment_that_is_rounding_is_no_effect() -> None:
