@@ -5,6 +5,7 @@ beside the drawing refitted in the same way. So a model is judged, too, before i
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -13,7 +14,7 @@ import numpy as np
 
 from identification.arm import Arm
 from identification.arrays import Array, ReadOnly
-from identification.document import Document, Documented
+from identification.document import Document, Documented, in_a_sentence
 from identification.documents import identification as shown
 from identification.errors import InputError
 from identification.estimation import Identification, estimate
@@ -144,6 +145,14 @@ class Validation(Documented, ReadOnly):
             yield f"about {100.0 * own:.0f} % of these rows are among those that the model was identified from"
         if far := shown.extrapolated(arm.outside(measurements.postures), "rows"):
             yield far
+        if refit == "none" and arm.chain.instrument.reads_positions:
+            with suppress(InputError):  # of rows too few to say where the arm stands
+                anew = _refitted(arm, measurements, "base")[1]
+                gain = gained_squares(after, distances(anew), measurements)
+                # convention: a quarter less is more than the numbers refitted take from the noise of a few postures
+                if rms_distance(anew) < 0.75 * self.model.rms and gain.p_above() <= LEVEL_95 / 2.0:
+                    left = in_a_sentence(rms_distance(anew))
+                    yield f"with where the arm stands refitted, as without --refit none, it leaves {left} mm RMS"
         model = Model(arm)
         if once := [effect.key for effect in model.effects if effect.once and own < MOST]:
             at_end = "the value at the end of the session of the identification is used in all rows"
