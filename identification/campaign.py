@@ -87,7 +87,7 @@ def campaign_document(
     sections = list[Section]()
     for name in sorted(calibrated, key=lambda name: name != model):
         corrected = corrected_values(calibrated[name])
-        rows, places = dh_lines(calibrated[name], corrected)
+        rows, places, _ = dh_lines(calibrated[name], corrected)
         sections.append(shown.corrected_section(f"Corrected values: {name}", corrected, folded=name != model))
         sections += [Section(part.title, part.parts, name != model) for part in shown.dh_sections(rows, places, name)]
     sections += [error_section(name, of_models, seen[name]) for name, of_models in tests.items()]

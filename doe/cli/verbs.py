@@ -226,12 +226,7 @@ def design_files(
 
 @VERBS.declare("armcal score arm.toml plan.csv")
 def score_files(
-    arm: Path,
-    plan: Path,
-    *,
-    seconds: Seconds = 20.0,
-    criterion: CriterionOptions,
-    package_dir: tuple[Path, ...] = (),
+    arm: Path, plan: Path, *, seconds: Seconds = 20.0, criterion: CriterionOptions, package_dir: tuple[Path, ...] = ()
 ) -> Answer:
     """Judge a plan of your own against the bound.
 

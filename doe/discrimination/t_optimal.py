@@ -140,12 +140,7 @@ class RivalPredictions:
 
 
 def discriminate(
-    model: Any,
-    diagnosis: Any,
-    runs: int,
-    seed: int = 0,
-    payloads: tuple[float, ...] | None = None,
-    stop: Stop = never,
+    model: Any, diagnosis: Any, runs: int, seed: int = 0, payloads: tuple[float, ...] | None = None, stop: Stop = never
 ) -> NextPostures:
     """The `runs` measurements most likely to resolve an ambiguous diagnosis.
 

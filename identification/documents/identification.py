@@ -24,6 +24,7 @@ from identification.document import (
     unit_or_dash,
 )
 from identification.effects import example
+from identification.kinematics.parameters import PRISMATIC
 from identification.model.placed import placing
 from identification.running import Status
 
@@ -112,9 +113,11 @@ def identification_document(fit: Identification, data: Data | None = None, hidde
     identify --json` says of it, None: what it says itself"""
     data = fit.to_json() if data is None else data
     values = [row for row in fit.corrected_values if row.parameter not in hidden]
-    tables: list[Part] = [*dh_sections(*fit.dh)]
+    tables: list[Part] = [*dh_sections(*fit.dh[:2])]
     if values and not tables:
         tables = [corrected_section("Corrected values", values)]
+        slides = fit.arm is not None and fit.arm.chain.rows and PRISMATIC in fit.arm.joint_types
+        tables += ["There is no corrected [[dh]] table of an arm with joints that slide."] if slides else []
     if fit.arm is None:
         rows = (
             [row["name"], *(estimate_text(row[key], row["std"], row["unit"]) for key in COLUMNS), row["unit"]]
@@ -204,6 +207,9 @@ def corrected_section(title: str, rows: Sequence[CorrectedValue], folded: bool =
         "Frames: origin of the joint in the frame of the joint before, as in a URDF file; --urdf writes it.": framed,
         "rx, ry, rz of a joint, where its pitch is near 90 deg: how its frame is turned from the drawing about its own "
         "axes.": any(row.name.endswith((" rx", " ry", " rz")) for row in frames),
+        "rx and rz of the base, where its ry is near 90 deg, are only known together, whatever the interval of each.": (
+            any(row.name == "base ry" and abs(row.corrected or 0.0) > 85.0 for row in rows)
+        ),
         "These values belong together: enter all of them.": framed,
         # not all that can be off is estimated
         "Numbers not listed stay as drawn, and the intervals are of a fit that holds them there.": framed
@@ -215,14 +221,18 @@ def corrected_section(title: str, rows: Sequence[CorrectedValue], folded: bool =
 
 
 def corrected_table(rows: Sequence[CorrectedValue]) -> Sheet:
-    """Nominal and corrected values with intervals, without those that are the drawing's to 0.0001 mm or deg."""
+    """Nominal and corrected values with intervals, without those that are the drawing's to 0.0001 mm or deg. Frames are
+    better known together than each number is: they have five decimals, whatever the deviation of each."""
     keys, cells = ("nominal", "corrected", "std", "low_95", "high_95"), []
+    together = any(row.name.startswith("joint ") for row in rows)
     for row in rows:
         name, std, unit = f"{row.name} *" if row.weak else row.name, row.std, row.unit
         limits = () if row.corrected is not None and std is None else (row.low_95, row.high_95)  # of a held value none
         same = {number(value, 4) for value in (row.nominal, row.corrected, *limits)}
         if unit not in ("mm", "deg") or len(same) > 1 or row.nominal is None:
-            cells.append([name, *(estimate_text(getattr(row, key), std, unit) for key in keys), unit_or_dash(unit)])
+            texts = [estimate_text(getattr(row, key), std, unit) for key in keys]
+            texts[1] = number(row.corrected, 5) if together and unit in ("mm", "deg") else texts[1]
+            cells.append([name, *texts, unit_or_dash(unit)])
     return Sheet(("", "nominal", "corrected", "std", "low 95 %", "high 95 %", "unit"), cells)
 
 

@@ -233,15 +233,16 @@ class Identification(Documented, ReadOnly):
         return corrected_values(self.arm, self.calibration(), unknown, before)
 
     @cached_property
-    def dh(self) -> tuple[tuple[CorrectedValue, ...], list[str]]:
+    def dh(self) -> tuple[tuple[CorrectedValue, ...], list[str], dict[str, dict[str, float]]]:
         """`dh_lines` of the arm as identified; empty where something is not estimable, and without an arm."""
         whole = self.arm is not None and not self.not_identifiable
-        return dh_lines(self.calibrated_arm(), self.corrected_values) if whole else ((), [])
+        return dh_lines(self.calibrated_arm(), self.corrected_values) if whole else ((), [], {})
 
     def to_json(self) -> dict[str, Any]:
         """Keys of `identify` (identification/files/README.md, "JSON keys"): file units, null for unknown values."""
-        rows, places = self.dh
-        dh = {"dh_table": [row.to_json() for row in rows], "dh_places": places} if rows else {}
+        rows, lines, frames = self.dh
+        table = [row.to_json() for row in rows]
+        dh = {"dh_table": table, "dh_places": lines, "dh_frames": frames} if rows else {}
         return {**self._summary(), "corrected_values": [row.to_json() for row in self.corrected_values], **dh}
 
     def _summary(self) -> dict[str, Any]:
@@ -498,12 +499,15 @@ def dh_table(arm: Arm) -> tuple[tuple[CorrectedValue, ...], list[tuple[str, Arra
     return tuple(listed), [("base", real.base @ first @ np.linalg.inv(drawn_first)), *tools]
 
 
-def dh_lines(arm: Arm, values: Sequence[CorrectedValue]) -> tuple[tuple[CorrectedValue, ...], list[str]]:
-    """`dh_table` of a calibrated arm, and lines of base, measured points and what the instrument has beside it;
-    values : corrected ones, those of the instrument among them"""
+def dh_lines(
+    arm: Arm, values: Sequence[CorrectedValue]
+) -> tuple[tuple[CorrectedValue, ...], list[str], dict[str, dict[str, float]]]:
+    """`dh_table` of a calibrated arm, lines of base, measured points and what the instrument has beside it, and by name
+    the numbers in these;  values : corrected ones, those of the instrument among them"""
     (rows, places), lines, own = dh_table(arm), list[str](), {p.name for p in arm.chain.instrument.parameters}
-    for name, at in places:
-        figures = (pose_table(at) if at.ndim == 2 else point_table(at)).items()
-        lines.append(f"{name}: " + ", ".join(f"{key.replace('_', ' [')}] {value:z.5f}" for key, value in figures))
+    frames = {name: pose_table(at) if at.ndim == 2 else point_table(at) for name, at in places}
+    for name, figures in frames.items():
+        shown_as = (f"{key.replace('_', ' [')}] {value:z.5f}" for key, value in figures.items())
+        lines.append(f"{name}: {', '.join(shown_as)}")
     touched = [f"{v.name} [{v.unit}]: {v.corrected:z.3f} +- {v.std:.3f}" for v in values if v.parameter in own]
-    return rows, [*lines, *touched] if rows else []
+    return rows, [*lines, *touched] if rows else [], frames

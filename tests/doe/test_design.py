@@ -149,8 +149,7 @@ def test_lengths_are_known_to_sigma_over_the_root_of_the_runs() -> None:
     assert found.runs == (4, 5, 6, 7, 8, 9)
     for design in found.designs:
         assert found.accuracy(design) == pytest.approx(0.1 / np.sqrt(len(design.plan)), rel=1e-6)
-    assert len(found.smallest.plan) == 7
-    assert found.efficient_runs() == found.runs
+    assert (len(found.smallest.plan), found.efficient_runs()) == (7, found.runs)
     assert replace(found, target=1e-3).smallest is None
     said = found.verdict
     assert said.startswith("7 runs suffice for 0.04 mm in each length, if the model is right; at the tip ")

@@ -151,8 +151,7 @@ def test_a_prior_is_the_library_and_a_file(folder: Folder) -> None:
     named = f"identify {again} --prior-from calibrated.toml"
     found = folder.said(named)
     assert found["prior_from"]["file"] == "calibrated.toml"
-    assert len(found["prior_from"]["parameters"]) == 8
-    assert found["prior_from"]["contradicted"] == []
+    assert (len(found["prior_from"]["parameters"]), found["prior_from"]["contradicted"]) == (8, [])
     alone = folder.said(f"identify {again}")
     for with_prior, without in zip(found["parameters"], alone["parameters"], strict=True):
         assert with_prior["std"] == pytest.approx(without["std"] / np.sqrt(2.0), rel=0.1)  # the same plan, twice

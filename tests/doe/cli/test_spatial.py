@@ -194,8 +194,7 @@ def test_validate_where_the_arm_stands_elsewhere(spatial: Folder) -> None:
     assert offsets["rms_mm"] < 0.06
     refitted = {row["name"]: row["value"] for row in base["refitted"]}
     # up to what the calibration leaves of joint 1 and of the last one, whose errors base and points take up
-    assert refitted["base.x"] == pytest.approx(-700.0, abs=3.0)
-    assert refitted["tool[front].y"] == pytest.approx(-90.0, abs=3.0)
+    assert (refitted["base.x"], refitted["tool[front].y"]) == pytest.approx((-700.0, -90.0), abs=3.0)
     assert (len(refitted), len(offsets["refitted"])) == (6 + 2 * 3, 6 + 2 * 3 + 4)
     placed = spatial.said("identify calibrated.toml other.csv --only base,tool")
     assert placed["rms_drawing_mm"] == pytest.approx(base["rms_nominal_mm"])

@@ -25,9 +25,7 @@ POSTURES = np.random.default_rng(0).uniform(SIX_AXIS.lower, SIX_AXIS.upper, (20,
 
 def test_with_a_sigma_the_prior_of_machining_counts() -> None:
     problem = six_axis()
-    assert problem.parameters == 39
-    assert len(problem.deviations) == 30
-    assert problem.fewest_runs == 3
+    assert (problem.parameters, len(problem.deviations), problem.fewest_runs) == (39, 30, 3)
     expected = difference_information(problem, Model(SIX_AXIS), POSTURES)
     np.testing.assert_allclose(problem.information(POSTURES), expected, atol=1e-8 * np.abs(expected).max())
     assert problem.objective(POSTURES) == pytest.approx(np.linalg.slogdet(expected)[1], abs=1e-3)

@@ -81,6 +81,10 @@ def test_frames_in_space_by_scipy() -> None:
     keys = [f"joint 2 {axis}" for axis in ("x", "y", "z", "roll", "pitch", "yaw")]
     assert [rows[key].corrected for key in keys] == pytest.approx(numbers(values), abs=1e-9)
     assert [rows[key].nominal for key in keys] == pytest.approx(numbers(np.zeros(5)), abs=1e-9)
+    printed = {cells[0]: float(cells[2]) for cells in corrected_table([*rows.values()]).rows}
+    assert [printed[key] for key in keys] == pytest.approx(numbers(values), abs=6e-6)  # however uncertain each is
+    upright = replace(rows[keys[0]], name="base ry", corrected=-89.0)
+    assert "only known together" in str(corrected_section("", [upright]).parts)
     assert [rows[key].std for key in keys] == pytest.approx(deviations, rel=1e-6)
     assert [rows[key].high_95 - rows[key].corrected for key in keys] == pytest.approx(1.959963985 * deviations)  # type: ignore[operator]
 
@@ -170,9 +174,10 @@ def fitted() -> Identification:
 def test_table_base_and_tool_say_what_the_fit_does() -> None:
     found, arm = fitted(), fitted().calibrated_arm()
     arm = replace(arm, chain=replace(arm.chain, instrument=Tracker(300.0)))
-    values, lines = dh_lines(arm, ())
+    values, lines, frames = dh_lines(arm, ())
     rows = {row.name: row.corrected for row in values}
-    numbers = ([*map(float, line.partition(": ")[2].replace(",", "").split()[2::3])] for line in lines)
+    numbers = [[*map(float, line.partition(": ")[2].replace(",", "").split()[2::3])] for line in lines]
+    np.testing.assert_allclose([[*at.values()] for at in frames.values()], numbers, rtol=0.0, atol=6e-6)
     base, tool = (pose(x[:3], Rotation.from_euler("XYZ", x[3:], degrees=True).as_matrix()) for x in numbers)
     for posture in np.random.default_rng(5).uniform(-2.0, 2.0, (4, 6)):
         at = base
