@@ -1,8 +1,6 @@
 # ruff: noqa: F401 - what type checkers read
 """From measurements to parameters, and to the effect that is missing: the table of contents, imported on first use."""
 
-from __future__ import annotations
-
 import ast
 from importlib import import_module
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Read-only arrays of floats, and dataclasses of them that compare by value."""
 
-from __future__ import annotations
-
 import copyreg
 from collections.abc import Mapping
 from dataclasses import fields
@@ -34,12 +32,15 @@ def readonly(values: ArrayLike, *shape: int) -> Array:
 
 
 class ReadOnly:
-    """Base of frozen dataclasses: what a field declares as `Array` or as `Mapping` is a copy that cannot be changed."""
+    """Base of frozen dataclasses: what a field declares as `Array` or as `Mapping` is a copy that cannot be changed.
+
+    By the words of the declaration: modules with such classes have `from __future__ import annotations`.
+    """
 
     def __post_init__(self) -> None:
         data: Any = self
         for each in fields(data):
-            kind, value = str(each.type), getattr(self, each.name)
+            kind, value = each.type, getattr(self, each.name)
             if kind.startswith("Array") and value is not None:
                 is_copy = isinstance(value, np.ndarray) and not value.flags.writeable
                 object.__setattr__(self, each.name, value if is_copy else readonly(value))

@@ -1,7 +1,5 @@
 """Whatever files of a campaign are given, as one document: arms, plans, measurements."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 Which of the names that are allowed somebody may have meant: misspelt or shortened.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager

@@ -15,10 +15,9 @@ with what the values are of:
                        determinants, which do not divide
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,7 +91,7 @@ class Spectrum:
     directions: Array
     rank: int
 
-    def truncated(self, tolerance: float) -> Spectrum:
+    def truncated(self, tolerance: float) -> Self:
         """The same decomposition with the rank at another tolerance (share of the largest singular value)."""
         return replace(self, rank=int(np.count_nonzero(significant(self.values, tolerance))))
 

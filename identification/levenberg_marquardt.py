@@ -15,11 +15,9 @@ watchdog technique for forcing convergence", 1982).
 Beside it Newton's method, from many starts at once, for local maxima of a function of joint positions within limits.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,9 +45,9 @@ class Points(NamedTuple):
     squares: Array
     damping: Array
 
-    def at(self, rows: Index | NDArray[np.bool_]) -> Points:
+    def at(self, rows: Index | NDArray[np.bool_]) -> Self:
         """Copies of some of them."""
-        return Points._make(array[rows] for array in self)
+        return type(self)(*(array[rows] for array in self))
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,8 +5,6 @@ with the values of this set that put the measured points where all of the simula
 point, or frame, is measured at every posture.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path

@@ -3,8 +3,6 @@
 Where the base stands elsewhere than the fit assumes, a freer fit says so.
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

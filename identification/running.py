@@ -1,7 +1,5 @@
 """How work runs: how it ended, how far it is, on how many threads, and what installed packages add to it."""
 
-from __future__ import annotations
-
 import sys
 import warnings
 from collections.abc import Callable, Iterator

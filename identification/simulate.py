@@ -1,7 +1,5 @@
 """Simulated measurements: a true arm, a plan, and noise from an explicit generator."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -5,8 +5,6 @@ one pass, and arguments broadcast: what depends only on the posture is computed 
 parameters is computed per parameter set.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from functools import lru_cache

@@ -6,8 +6,6 @@ A user's own effect is a subclass of `Effect` under the decorator `register`, or
 own effects stand in it as well.
 """
 
-from __future__ import annotations
-
 import inspect
 from collections import Counter
 from collections.abc import Mapping, Sequence

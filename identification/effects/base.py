@@ -11,8 +11,6 @@ A contribution acts on the tip through the lever of its place, the derivative of
 added there. Levers depend on the fitted model only, so they serve all effects that might be missing.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -20,7 +18,7 @@ from itertools import accumulate
 from math import inf
 from operator import attrgetter
 from types import MappingProxyType
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, Self
 
 import casadi as ca
 import numpy as np
@@ -270,7 +268,7 @@ class ArmState:
     off: ca.SX | None = None  # the share of their geometry that does not hold
 
     @classmethod
-    def of(cls, arm: Arm, q: ca.SX, c: ca.SX, columns: Mapping[str, slice]) -> ArmState:
+    def of(cls, arm: Arm, q: ca.SX, c: ca.SX, columns: Mapping[str, slice]) -> Self:
         """An arm at a posture q (n) under conditions c in these columns (`condition_columns`)."""
         at = {name: c[place] for name, place in columns.items()}
         if "past" in at:

@@ -5,8 +5,6 @@ lets a common effect be named where it explains the data equally well. Effects t
 distinguish from the base parameters are listed, never named (`alias`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import partial

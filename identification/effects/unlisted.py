@@ -4,8 +4,6 @@ Each is a sum of given functions; `diagnose` says where it is and estimates the 
 that are fast or of two angles are smaller, as errors of that kind are.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from functools import partial
 from itertools import combinations_with_replacement, product

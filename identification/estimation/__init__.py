@@ -5,8 +5,6 @@ far the data may move what has a prior: it is the noise of the largest marginal 
 less than a sigma that is given. Many data sets on one plan are fitted by the chord method (`chord_steps`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache

@@ -1,7 +1,5 @@
 """What is known of the noise without a model: the scatter of repeats of one posture, and a sigma that is given."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import NamedTuple
 

@@ -11,12 +11,10 @@ U. K. Mueller, "t-statistic based correlation and heterogeneity robust inference
 groups), with the larger variance of the two groupings, and never less than that of white Gaussian noise.
 """
 
-from __future__ import annotations
-
 from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -60,7 +58,7 @@ class WhiteRows:
     pull: Array | float = 0.0
 
     @classmethod
-    def of(cls, problem: Problem, data: Measurements, parameters: Array) -> WhiteRows:
+    def of(cls, problem: Problem, data: Measurements, parameters: Array) -> Self:
         """Of the rows of weight above zero, linear about parameters (p,)."""
         kept, prior, shape = problem.weights > 0.0, problem.prior_rows, problem.positions.shape[1:]
         residual, jacobian = problem.rows_about(parameters)
@@ -418,12 +416,12 @@ class Mean(NamedTuple):
     variance: float
     freedom: float
 
-    def __sub__(self, other: Mean) -> Mean:
+    def __sub__(self, other: Self) -> Self:
         """Difference of two independent means, with Welch's degrees of freedom (B. L. Welch, 1947)."""
         variance = self.variance + other.variance
         parts = sum(m.variance**2 / m.freedom for m in (self, other) if m.variance < np.inf)
         freedom = variance**2 / parts if parts > 0.0 and variance < np.inf else min(self.freedom, other.freedom)
-        return Mean(self.value - other.value, variance, freedom)
+        return type(self)(self.value - other.value, variance, freedom)
 
     def p_above(self) -> float:
         """One-sided p-value: probability of a mean at least this large if the true mean is zero."""

@@ -4,8 +4,6 @@ Keys of files end with their unit, names of our classes are the same without it:
 Effects and calibrations are written into a user's own text, whose comments and order stay as they are.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import tomllib

@@ -1,7 +1,5 @@
 """Tables of text from CSV files; errors name file, row, column and what is allowed."""
 
-from __future__ import annotations
-
 import csv
 import hashlib
 import io

@@ -1,7 +1,5 @@
 """Reading and writing whole files; every error names the file, the place in it, and what is allowed."""
 
-from __future__ import annotations
-
 import io
 import os
 import secrets

@@ -6,8 +6,6 @@ its axes; a magnitude is at most `LARGEST`. What pydantic says of a value is the
 check of ours.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable, Mapping

@@ -4,8 +4,6 @@ With few rows the residuals hardly say what the noise is. The accuracy is then t
 what repeats scatter by; where neither is known, neither is the accuracy.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -5,13 +5,11 @@ A wrong unit or sign leaves decimetres where a real arm leaves millimetres, so t
 way to read the columns the base (and in space the measured point) is fitted to the drawing in closed form.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from itertools import accumulate, combinations, pairwise
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,11 +92,11 @@ class Reading:
         """(n,) what to add to each joint [rad], by the shorter way."""
         return tuple(float(np.radians(180.0 - (180.0 - 90.0 * k) % 360.0)) for k in self.quarters)
 
-    def with_quarters(self, joint: int, k: float) -> Reading:
+    def with_quarters(self, joint: int, k: float) -> Self:
         """With so many quarter turns added to a joint, from 0."""
         return replace(self, quarters=(*self.quarters[:joint], k, *self.quarters[joint + 1 :]))
 
-    def with_scale(self, logarithm: float) -> Reading:
+    def with_scale(self, logarithm: float) -> Self:
         """With lengths that are e to this times those of the file."""
         return replace(self, scaled=float(np.exp(logarithm)))
 

@@ -14,8 +14,6 @@ other reading is searched (`Instrument.searched`): least squares from many start
 least squares wins. Starts are random bases, or what the instrument makes of each t: those of t lie around the tip.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -230,7 +228,7 @@ class Instrument:
 
     # -- files -----------------------------------------------------------------------------------------------------
     @classmethod
-    def of_table(cls, table: Mapping[str, Any]) -> Instrument:
+    def of_table(cls, table: Mapping[str, Any]) -> Self:
         """Of a table `[instrument]`."""
         return cls()
 

@@ -1,12 +1,10 @@
 """A ball at the tool in fixed cups: calibration without an instrument."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
-from typing import Any
+from typing import Any, Self
 
 import casadi as ca
 import numpy as np
@@ -162,6 +160,6 @@ class Socket(AtTargets):
 
     # -- files ---------------------------------------------------------------------------------------------------------
     @classmethod
-    def of_table(cls, table: Mapping[str, Any]) -> Socket:
+    def of_table(cls, table: Mapping[str, Any]) -> Self:
         cups = tuple((name, tuple(map(float, place))) for name, place in (table.get("cups") or {}).items())
         return cls(cups, tuple((str(a), str(b), float(d)) for a, b, d in table.get("distances_mm") or ()))

@@ -3,11 +3,9 @@
 Beside a planar arm the center stands in the frame of the base.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import casadi as ca
 import numpy as np
@@ -108,6 +106,6 @@ class PlanarDistance(AtTargets):
         return -self.place(Unplaced(frames, readings, float(np.abs(points).max()))).base[:2, 3]
 
     @classmethod
-    def of_table(cls, table: Mapping[str, Any]) -> PlanarDistance:
+    def of_table(cls, table: Mapping[str, Any]) -> Self:
         center = table.get("center_mm")
         return cls() if center is None else cls((("1", tuple(map(float, center))),))

@@ -1,11 +1,9 @@
 """A probe on balls and planes: |p_i + R_i t - c| = r, and n . (p_i + R_i t) = h, by total least squares for given t."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import product
-from typing import Any
+from typing import Any, Self
 
 import casadi as ca
 import numpy as np
@@ -32,7 +30,7 @@ class Sphere(Distance):
     offers = frozenset()
 
     @classmethod
-    def of_table(cls, table: Mapping[str, Any]) -> Sphere:
+    def of_table(cls, table: Mapping[str, Any]) -> Self:
         require("radius_mm" in table, "instrument.radius_mm: is missing, allowed: of ball and stylus tip together [mm]")
         return cls(table["radius_mm"])
 

@@ -1,7 +1,5 @@
 """A tracker, which reads where points are."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import casadi as ca

@@ -14,8 +14,6 @@ Beside it: whole turns of revolute joints, where an angle beyond a limit may be 
 and the range of each joint over some postures, as a calibration keeps it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -76,7 +74,7 @@ class Counting:
         return cls((1,) * n, (0,) * n, (0.0,) * n)
 
     @classmethod
-    def of_matrix(cls, matrix: Array, zero: Iterable[float]) -> Counting | None:
+    def of_matrix(cls, matrix: Array, zero: Iterable[float]) -> Self | None:
         """That of columns `matrix` q + `zero`, with integers (n, n); None where coupling of one joint to one other does
         not say it."""
         signs = np.sign(np.diag(matrix)).astype(int)
@@ -149,7 +147,7 @@ class JointKinds(tuple[str, ...]):
 
     counting: Counting
 
-    def __new__(cls, kinds: Iterable[str], counting: Counting | None = None) -> JointKinds:
+    def __new__(cls, kinds: Iterable[str], counting: Counting | None = None) -> Self:
         joint_kinds = super().__new__(cls, tuple(kinds))
         joint_kinds.counting = counting or getattr(kinds, "counting", None) or Counting.usual(len(joint_kinds))
         return joint_kinds

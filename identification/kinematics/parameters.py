@@ -1,7 +1,5 @@
 """Parameters of a model: names, units, bounds, scales and kinds, and vectors of their values."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -9,8 +9,6 @@ the last axis or six for a measured frame; of a six-axis arm 27 with one reflect
 Which of several equivalent ones is kept is a choice: those that an engineer looks for first.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace

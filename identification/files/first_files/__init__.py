@@ -1,7 +1,5 @@
 """The first files of a calibration: an arm file with comments, the columns of the measurements, the steps."""
 
-from __future__ import annotations
-
 import html
 import json
 import re
