@@ -161,22 +161,31 @@ def route(
     nodes = np.concatenate([postures, entries])
     # (M, M) [rad] of the moves of a node and a later one, inf where there is none; which of them are proven to be free
     length, proven = np.full(2 * (len(nodes),), np.inf), np.zeros(2 * (len(nodes),), dtype=bool)
-
-    def connect(old: int, neighbors: int, *moves: Numbers) -> None:
-        """Moves of nodes from this one on to so many of the nearest, from those that have them among their nearest, and
-        from nodes (e,) to others (e,), unless a few places on the way collide."""
+    proven[rows, aims] = True
+    length[rows, aims] = room.travel(postures, nodes[aims]) + 1e-9
+    ideal = room.travel(postures[:, None], nodes[aims])
+    around = rows if keep_order else shortest_path(np.maximum(ideal, ideal.T))
+    enough, order, missing = 1.1 * ideal[around[:-1], around[1:]].sum(), rows, rows
+    old, most = 0, neighbors if keep_order else 2 * len(rows)
+    for beyond in (0.0, *0.3 * 3.0 ** np.arange(rounds)):  # [rad] the postures random nodes are drawn, none at first
+        if beyond:
+            low = np.maximum(postures.min(axis=0) - beyond * room.units, room.lower)
+            high = np.minimum(postures.max(axis=0) + beyond * room.units, room.upper)
+            drawn = generator.uniform(low, high, (spread, len(low)))
+            about = nodes[generator.choice(missing if len(missing) else aims, spread)]
+            drawn[::2] = (about + 0.3 * generator.random((spread, 1)) * (drawn - about))[::2]
+            drawn, old, most = drawn[np.all(room.margin(drawn) >= 0.0, axis=1)], len(nodes), neighbors
+            nodes, wider = np.concatenate([nodes, drawn]), (0, len(drawn))
+            length, proven = np.pad(length, wider, constant_values=np.inf), np.pad(proven, wider)
+        # moves of new nodes to so many of the nearest, and from those that have them among their nearest, and from each
+        # posture to the next, unless a few places on the way collide
         apart = room.travel(nodes[:, None], nodes) + 1e-9
-        near = apart <= np.sort(apart, axis=1)[:, : neighbors + 1].max(axis=1, initial=0.0)[:, None]
-        near[moves or ([], [])] = True
+        near = apart <= np.sort(apart, axis=1)[:, : most + 1].max(axis=1, initial=0.0)[:, None]
+        near[rows[:-1], aims[1:]] = True
         low, high = np.nonzero(np.triu(near | near.T, 1))
         low, high = low[high >= old], high[high >= old]
         length[low, high] = np.where(room.free(nodes[low], nodes[high], levels=2), apart[low, high], np.inf)
-
-    def shortest() -> tuple[Numbers, list[list[int]], Numbers]:
-        """The shortest route whose moves are all proven: its order, the nodes of each of the m - 1 steps, and to which
-        of the m no way leads from most of the others."""
-        order = rows
-        while True:
+        while True:  # the shortest route, until all of its moves are proven
             # (m, M) of the shortest ways to every node, and the nodes before it
             far, before = dijkstra(length, directed=False, indices=rows, return_predecessors=True)
             cost = far[:, aims]
@@ -184,7 +193,7 @@ def route(
             if not keep_order:
                 cost = np.where(reached, cost, 1.0 + 2.0 * cost[reached].sum())  # more than any order
                 order = shortest_path(np.maximum(cost, cost.T))
-            ways = []
+            ways = []  # the nodes of each of the m - 1 steps
             for one, other in pairwise(order.tolist()):
                 way = [int(aims[other])]
                 while reached[one, other] and way[-1] != one:
@@ -194,39 +203,21 @@ def route(
             low, high = np.unique(np.sort(moves, axis=1), axis=0).T
             doubtful = np.isfinite(length[low, high]) & ~proven[low, high]
             if not doubtful.any() or stop():
-                label = reached.argmax(axis=1)
-                return order, ways, np.flatnonzero(label != np.bincount(label).argmax())
+                break
             low, high = low[doubtful], high[doubtful]
             proven[low, high] = free = room.free(nodes[low], nodes[high])
             length[low[~free], high[~free]] = np.inf
-
-    connect(0, neighbors if keep_order else 2 * len(rows), rows[:-1], aims[1:])
-    proven[rows, aims] = True
-    length[rows, aims] = room.travel(postures, nodes[aims]) + 1e-9
-    ideal = room.travel(postures[:, None], nodes[aims])
-    around = rows if keep_order else shortest_path(np.maximum(ideal, ideal.T))
-    enough = 1.1 * ideal[around[:-1], around[1:]].sum()
-    order, ways, missing = shortest()
-    for beyond in 0.3 * 3.0 ** np.arange(rounds):  # [rad] the postures
+        label = reached.argmax(axis=1)
+        missing = np.flatnonzero(label != np.bincount(label).argmax())
         if stop() or (not len(missing) and sum(room.length(nodes[way]) for way in ways) <= enough):
             break
         enough = np.inf
-        low = np.maximum(postures.min(axis=0) - beyond * room.units, room.lower)
-        high = np.minimum(postures.max(axis=0) + beyond * room.units, room.upper)
-        drawn = generator.uniform(low, high, (spread, len(low)))
-        about = nodes[generator.choice(missing if len(missing) else aims, spread)]
-        drawn[::2] = (about + 0.3 * generator.random((spread, 1)) * (drawn - about))[::2]
-        drawn, old = drawn[np.all(room.margin(drawn) >= 0.0, axis=1)], len(nodes)
-        nodes, wider = np.concatenate([nodes, drawn]), (0, len(drawn))
-        length, proven = np.pad(length, wider, constant_values=np.inf), np.pad(proven, wider)
-        connect(old, neighbors)
-        order, ways, missing = shortest()
     steps = [nodes[aims[order[:1]]]]
-    for way in (nodes[each] for each in ways):  # bends go where the straight move is free, too
-        for bend in range(len(way) - 2, 0, -1):
-            if room.free(way[bend - 1 : bend], way[bend + 1 : bend + 2]).all():
-                way = np.delete(way, bend, axis=0)
-        steps.append(way[1:])
+    for step in (nodes[way] for way in ways):  # bends go where the straight move is free, too
+        for bend in range(len(step) - 2, 0, -1):
+            if room.free(step[bend - 1 : bend], step[bend + 1 : bend + 2]).all():
+                step = np.delete(step, bend, axis=0)
+        steps.append(step[1:])
     alike = np.all(nodes[aims] == postures, axis=1)
     steps = [step if alike[row] else np.vstack([step, postures[row]]) for step, row in zip(steps, order, strict=True)]
     return order, steps, missing.tolist()

@@ -213,12 +213,10 @@ def _cell(
             mesh = str(named_file(folder, table.file, f"cell.bodies[{k}].file", "the arm file"))
             shape = Shape("mesh", _pose(table), np.full(3, METER if table.unit == "m" else 1.0), mesh)
         shapes.append((name, joint, shape))
-    text, path = "", ""
-    if urdf is not None:
-        path = urdf.path
-        if urdf.robot.find("link/collision") is not None and cell.bodies_of_urdf is not False:
-            text = urdf.text
-            apart |= urdf.neighbours()
+    text, path = "", urdf.path if urdf else ""
+    if urdf and urdf.robot.find("link/collision") is not None and cell.bodies_of_urdf is not False:
+        text = urdf.text
+        apart |= urdf.neighbours()
     names = {Cell.FLOOR, Cell.SIGHT, *(urdf.links if urdf else ()), *(name for name, _, _ in shapes)}
     InputError.check_names("cell.apart: unknown body", (name for pair in cell.apart for name in pair), names)
     if not ("cell" in file.model_fields_set or text or shapes):
