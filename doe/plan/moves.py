@@ -33,7 +33,6 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.random import Generator
 from numpy.typing import NDArray
 
 from doe.plan.spacing import best_beside
@@ -301,7 +300,15 @@ def drive(
             run_rows, steps, unreached = route(postures, room, entries, order != "travel", seed, stop)
         if last or not (lost := sideways or unreached):
             break
-        postures = replaced(problem, postures, lost, room, turn, generator)
+        postures, kept = postures.copy(), np.delete(rows, lost)
+        for row in lost:  # the best of some that have a free move to one of those near them
+            others, listed = np.delete(postures, row, axis=0), problem.choices
+            drawn = random_postures(problem, 200, generator) if listed is None else generator.permutation(listed)[:200]
+            for posture in best_beside(problem, others, turn(drawn)):
+                nearest = postures[kept[np.argsort(room.travel(posture, postures[kept]))[:10]]]
+                if not len(kept) or room.free(np.broadcast_to(posture, nearest.shape), nearest).any():
+                    postures[row], kept = posture, np.append(kept, row)
+                    break
     via = np.concatenate([np.arange(len(way)) < len(way) - 1 for way in steps])
     measured, whole = (replace(plan, postures=q) for q in (postures[run_rows], np.concatenate(steps)))
     if via.any():  # how joints come to a run does not follow from the runs before
@@ -404,27 +411,6 @@ def one_turn(problem: DesignProblem, room: Room, postures: Array) -> Callable[[A
         wound[j] = np.array_equal(problem.feasible(turned), problem.feasible(postures))
         wound[j] &= abs(problem.objective(turned) - problem.objective(postures)) < 1e-6
     return lambda q: np.where(wound, start + (q - start) % whole, q)
-
-
-def replaced(
-    problem: DesignProblem,
-    postures: Array,
-    lost: Sequence[int],
-    room: Room,
-    turn: Callable[[Array], Array],
-    generator: Generator,
-) -> Array:
-    """(m, n) postures, in the place of lost rows the best of some that have a free move to one of those near them."""
-    postures, kept = postures.copy(), np.delete(np.arange(len(postures)), lost)
-    for row in lost:
-        others, listed = np.delete(postures, row, axis=0), problem.choices
-        drawn = random_postures(problem, 200, generator) if listed is None else generator.permutation(listed)[:200]
-        for posture in best_beside(problem, others, turn(drawn)):
-            nearest = postures[kept[np.argsort(room.travel(posture, postures[kept]))[:10]]]
-            if not len(kept) or room.free(np.broadcast_to(posture, nearest.shape), nearest).any():
-                postures[row], kept = posture, np.append(kept, row)
-                break
-    return postures
 
 
 def clearance_of(constraints: Sequence[Constraint]) -> Clearance | None:

@@ -192,12 +192,11 @@ class Clearance:
         """(N,) distances of N pairs of pieces, each at one of the postures, (N,) shares of the way along the axis of
         the first to its nearest point, and (3, N) the directions in which it gets away."""
         first, second = self._pieces[piece, 1:].T
-        (a, b), (distance, share), away = placed[:, :, run, first], np.empty((2, len(run))), np.empty((3, len(run)))
-        axes, walls = (np.flatnonzero(each) for each in (second < self._capsules, second >= self._capsules))
-        share[axes], _, between = shortest(a[:, axes], b[:, axes], *placed[:, :, run[axes], second[axes]])
-        distance[axes] = length(between)
-        away[:, axes] = between / np.maximum(distance[axes], CROSSING)
-        if len(walls):
+        a, b = placed[:, :, run, first]
+        share, _, between = shortest(a, b, *placed[:, :, run, second])
+        distance = length(between)
+        away = between / np.maximum(distance, CROSSING)
+        if len(walls := np.flatnonzero(second >= self._capsules)):
             box = second[walls] - self._capsules
             start, end, half = self._in_box(a[:, walls], box), self._in_box(b[:, walls], box), self._boxes[box, 12:].T
             share[walls], along_sides = nearest_to_box(start, end, half)

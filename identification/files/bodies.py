@@ -149,35 +149,7 @@ def collisions(urdf: Urdf, link: str) -> list[Shape]:
     return solids
 
 
-# -- covered, when they are first asked for ----------------------------------------------------------------------------
-def covered(name: str, joint: int, shapes: Sequence[Shape], reach: float, foot: bool = False) -> Body:
-    """The body of its shapes, covered: by capsules if it moves, by boxes if it stands still.
-
-    reach : [mm] of the arm;  foot : it is the arm's own, for which capsules do as well in half the time, if it is no
-        plate. Raises `InputError` for a mesh that cannot be read, or whose unit must be another
-    """
-    from identification.cover import boxes_around, capsules_around
-
-    triangles = [shape.triangles() for shape in shapes]
-    for shape, own in zip(shapes, triangles, strict=True):
-        long = float(np.ptp(own, axis=(0, 1)).max()) if shape.kind == "mesh" else reach
-        if not 1e-3 * reach < long < 20.0 * reach:
-            unit = "millimetres as metres" if long > reach else "metres as millimetres"
-            state = f"body {name} is {long:.4g} mm long beside an arm that reaches {reach:.4g} mm, like {unit}"
-            raise InputError(f"{shape.file}: {state}, allowed: another unit or scale")
-    drawn = [own @ s.place[:3, :3].T + s.place[:3, 3] for s, own in zip(shapes, triangles, strict=True)]
-    capsules = np.reshape([shape.capsule for shape in shapes if shape.kind in ROUND], (-1, 7))
-    rest, boxes = [k for k, shape in enumerate(shapes) if shape.kind not in ROUND], np.empty((0, 15))
-    if rest:
-        solid = np.concatenate([drawn[k] for k in rest])
-        size = np.ptp(solid, axis=(0, 1))
-        if joint or (foot and size.min() > 0.3 * size.max()):
-            capsules = np.concatenate([capsules, capsules_around(solid)])
-        else:
-            boxes = np.concatenate([boxes_around(triangles[k], shapes[k].place) for k in rest])
-    return Body(name, joint, capsules, boxes, np.concatenate(drawn))
-
-
+# -- read and covered, when they are first asked for -------------------------------------------------------------------
 @dataclass(frozen=True, eq=False)
 class ShapedBodies(ByValue, Sequence[Body]):
     """The bodies of an arm file and of its URDF file, which are read when they are first asked for.
@@ -208,7 +180,12 @@ class ShapedBodies(ByValue, Sequence[Body]):
         return self._read[1]
 
     @cached_property
-    def _read(self) -> tuple[tuple[Body, ...], tuple[str, ...]]:
+    def _read(self) -> tuple[list[Body], tuple[str, ...]]:
+        """Bodies, by capsules if they move, by boxes if they stand still; capsules do as well in half the time for an
+        arm's foot that is no plate. Raises `InputError` for a mesh that cannot be read, or whose unit must be another.
+        """
+        from identification.cover import boxes_around, capsules_around
+
         parts, missing, loose = dict[tuple[str, int], list[Shape]](), dict[str, str](), dict[str, None]()
         if self.urdf:
             urdf = read_urdf(self.path, self.urdf)
@@ -228,14 +205,33 @@ class ShapedBodies(ByValue, Sequence[Body]):
             types = f"{' or '.join(READERS)} files of the same name, "
             warnings.warn(f"{self.path}: {state}, allowed: {types}{ways}", UserWarning, stacklevel=2)
         if loose:
-            drawn = "drawn where joints that are not the arm's stand at zero"
-            warnings.warn(f"{self.path}: {', '.join(loose)}: {drawn}", UserWarning, stacklevel=2)
+            state = "drawn where joints that are not the arm's stand at zero"
+            warnings.warn(f"{self.path}: {', '.join(loose)}: {state}", UserWarning, stacklevel=2)
         for name in {name for name, _ in parts} & {name for name, _, _ in self.given}:
             raise InputError(f"cell.bodies: the name {name!r} is that of a link of {self.path}, allowed: another name")
         for name, joint, shape in self.given:
             parts.setdefault((name, joint), []).append(shape)
-        bodies = (covered(*key, shapes, self.reach, key[0] == self.ends[0]) for key, shapes in parts.items())
-        return tuple(bodies), tuple(missing)
+        bodies = list[Body]()
+        for (name, joint), shapes in parts.items():
+            triangles = [shape.triangles() for shape in shapes]
+            for shape, own in zip(shapes, triangles, strict=True):
+                long = float(np.ptp(own, axis=(0, 1)).max()) if shape.kind == "mesh" else self.reach
+                if not 1e-3 * self.reach < long < 20.0 * self.reach:
+                    unit = "millimetres as metres" if long > self.reach else "metres as millimetres"
+                    state = f"{long:.4g} mm long beside an arm that reaches {self.reach:.4g} mm, like {unit}"
+                    raise InputError(f"{shape.file}: body {name} is {state}, allowed: another unit or scale")
+            drawn = [own @ s.place[:3, :3].T + s.place[:3, 3] for s, own in zip(shapes, triangles, strict=True)]
+            capsules = np.reshape([shape.capsule for shape in shapes if shape.kind in ROUND], (-1, 7))
+            rest, boxes = [k for k, shape in enumerate(shapes) if shape.kind not in ROUND], np.empty((0, 15))
+            if rest:
+                solid = np.concatenate([drawn[k] for k in rest])
+                size = np.ptp(solid, axis=(0, 1))
+                if joint or (name == self.ends[0] and size.min() > 0.3 * size.max()):
+                    capsules = np.concatenate([capsules, capsules_around(solid)])
+                else:
+                    boxes = np.concatenate([boxes_around(triangles[k], shapes[k].place) for k in rest])
+            bodies.append(Body(name, joint, capsules, boxes, np.concatenate(drawn)))
+        return bodies, tuple(missing)
 
 
 def mesh_file(name: str, folders: Sequence[PathLike]) -> Path | None:
