@@ -379,20 +379,44 @@ def in_sentences(moves: Sequence[Mapping[str, Any]]) -> list[str]:
     ]
 
 
+def distance_in_words(near: Mapping[str, Any]) -> str:
+    """Of two bodies, as `Clearance.too_near` has them."""
+    gap = near["distance_mm"]
+    return f"{' and '.join(near['bodies'])} {f'overlap by {-gap:.1f} mm' if gap < 0.0 else f'are {gap:.1f} mm apart'}"
+
+
 def said_of_collisions(
     constraints: Sequence[Constraint], dimension: int, postures: Array | None = None, moves: Array | None = None
 ) -> tuple[dict[str, Any], list[str]]:
-    """Keys `collisions_checked`, of postures (m, n) `collisions`, and of moves along others `moves`, and what to say of
-    them; nothing of arms in a plane whose bodies nobody has described;  postures, moves : None: there are none"""
+    """Keys `collisions_checked`, of postures (m, n) `collisions`, and of moves along others `moves`; and what to say:
+    every pair that is too near, what is asked of which pairs, and what may collide unseen. Nothing of arms in a plane
+    whose bodies nobody has described;  postures, moves : None: there are none"""
     if (clearance := clearance_of(constraints)) is None:
         return ({"collisions_checked": False}, [COLLISIONS]) if dimension == 3 else ({}, [])
-    data: dict[str, Any] = {"collisions_checked": not (clearance.unseen or clearance.bare)}
-    if postures is None:
-        return data, clearance.not_looked_at()
-    data["collisions"], blocked = clearance.too_near(postures), list[dict[str, Any]]()
+    data, lines = dict[str, Any](collisions_checked=not (clearance.unseen or clearance.bare)), list[str]()
+    usual, blocked = int(np.sum(clearance.asked >= clearance.usual)), list[dict[str, Any]]()
+    if postures is not None:
+        data["collisions"] = near = clearance.too_near(postures)
+        # of data a posture may have many rows
+        those, many = (len(np.unique(each, axis=0)) for each in (postures[[k["run"] - 1 for k in near]], postures))
+        stay = "pair of bodies stays" if usual == 1 else "pairs of bodies stay"
+        lines = [f"Collisions: {usual} {stay} {clearance.usual:g} mm apart in all {many} postures."]
+        if near:
+            lines = [f"Collisions: {those} of {many} postures bring bodies too near to each other:"]
+        lines += [f"  run {each['run']}: {distance_in_words(each)}" for each in near]
     if moves is not None:
         data["moves"] = {"not_free": (blocked := unproven(constraints, moves))}
-    return data, [*clearance.in_words(postures), *in_sentences(blocked)]
+    few = np.flatnonzero(clearance.asked < clearance.usual)
+    narrow = [f"{' and '.join(clearance.pairs[k])} ({clearance.asked[k]:.3g} mm)" for k in few]
+    touching = [" and ".join(pair) for pair in clearance.touching]
+    for why, each in (
+        ("Asked to stay apart by less, since they are near wherever the arm goes", narrow),
+        ("Not looked at, since they touch wherever the arm goes", touching),
+        ("Not looked at, since their meshes are not found", clearance.unseen),
+        ("Not looked at, since no body is known that moves with", clearance.bare),
+    ):
+        lines += [f"{why}: {', '.join(each)}."] if each else []
+    return data, lines + in_sentences(blocked)
 
 
 def one_turn(problem: DesignProblem, room: Room, postures: Array) -> Callable[[Array], Array]:

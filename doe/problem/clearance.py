@@ -19,7 +19,7 @@ of a pair that is always near, as both neighbours of a short link, a quarter of 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -37,8 +37,9 @@ DEEP = 1e5  # [mm] half sizes of the box that the floor is the top of
 class Clearance:
     """The condition on a posture that bodies keep their distance: a constraint, as `doe.problem.constraints` has them.
 
-    pairs : (k) names of both bodies;  asked : (k,) [mm] how far they are to keep apart;  touching : the pairs that are
-    not looked at since their pieces overlap wherever the arm goes
+    pairs : (k) names of both bodies;  asked : (k,) [mm] how far they are to keep apart, `usual` or less
+    touching : pairs that are not looked at since their pieces overlap wherever the arm goes
+    unseen, bare : links without meshes, and joints that carry a link that nobody has described
     """
 
     kind = "clearance"
@@ -85,7 +86,6 @@ class Clearance:
         self.touching, self.pairs = (tuple(pairs[k] for k in np.flatnonzero(each)) for each in (~kept, kept))
         lengths = np.linalg.norm(np.diff(model.joint_frames(drawn[:1])[0, :, :3, 3], axis=0), axis=1)
         bare = [f"joint {j}" for j in (np.flatnonzero(lengths > ROUNDING) + 1).tolist() if j not in joints]
-        # links without meshes, and joints that carry a link that nobody has described
         self.unseen, self.bare = getattr(cell.bodies, "unseen", ()), bare
         self.asked = np.minimum(self.usual, np.where(largest > 0.0, 0.25 * largest, np.inf))[kept]
         self._pieces = self._pieces[kept[self._pieces[:, 0]]]
@@ -126,30 +126,6 @@ class Clearance:
         apart = self.distance(postures)
         near = np.argwhere(apart < self.asked - ROUNDING).tolist()
         return [{"run": run + 1, "bodies": [*self.pairs[k]], "distance_mm": float(apart[run, k])} for run, k in near]
-
-    def in_words(self, postures: Array) -> list[str]:
-        """What is to be said of postures (m, n): every pair that is too near, and what is asked of which pairs."""
-        near, usual = self.too_near(postures), int(np.sum(self.asked >= self.usual))
-        # of data a posture may have many rows
-        those, many = (len(np.unique(each, axis=0)) for each in (postures[[k["run"] - 1 for k in near]], postures))
-        stay = "pair of bodies stays" if usual == 1 else "pairs of bodies stay"
-        lines = [f"Collisions: {usual} {stay} {self.usual:g} mm apart in all {many} postures."]
-        if near:
-            lines = [f"Collisions: {those} of {many} postures bring bodies too near to each other:"]
-        return [*lines, *(f"  run {each['run']}: {distance_in_words(each)}" for each in near), *self.not_looked_at()]
-
-    def not_looked_at(self) -> list[str]:
-        """What is to be said of pairs that less is asked of, or nothing, and of what may collide unseen."""
-        few = np.flatnonzero(self.asked < self.usual)
-        narrow = [f"{' and '.join(self.pairs[k])} ({self.asked[k]:.3g} mm)" for k in few]
-        touching = [" and ".join(pair) for pair in self.touching]
-        whys = (
-            ("Asked to stay apart by less, since they are near wherever the arm goes", narrow),
-            ("Not looked at, since they touch wherever the arm goes", touching),
-            ("Not looked at, since their meshes are not found", self.unseen),
-            ("Not looked at, since no body is known that moves with", self.bare),
-        )
-        return [f"{why}: {', '.join(each)}." for why, each in whys if each]
 
     def _seen(self, postures: Array) -> tuple[Array, NDArray[np.intp]]:
         """(m, k) distances of the pairs at postures (m, n), and numbers of the pairs of pieces that have them.
@@ -237,12 +213,6 @@ class Clearance:
             moved = np.subtract(*(joints <= self._frames[end, side, None] for side in (first, second)), dtype=float)
             slopes += weight[:, None] * moved * rates
         return np.swapaxes(slopes.reshape(*pieces.shape, len(turning)), 1, 2)
-
-
-def distance_in_words(near: Mapping[str, Any]) -> str:
-    """Of two bodies, as `Clearance.too_near` has them."""
-    gap = near["distance_mm"]
-    return f"{' and '.join(near['bodies'])} {f'overlap by {-gap:.1f} mm' if gap < 0.0 else f'are {gap:.1f} mm apart'}"
 
 
 # -- geometry: vectors run along the first axis of arrays --------------------------------------------------------------

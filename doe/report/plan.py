@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from doe.plan.moves import clearance_of, said_of_collisions, unproven
-from doe.problem.clearance import distance_in_words
+from doe.plan.moves import clearance_of, distance_in_words, said_of_collisions, unproven
 from doe.problem.problem import DesignProblem
 from doe.report.page import PlanSteps
 from identification import Arm, Array, Plan

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from doe import DesignProblem, solve
 from doe.plan.ascent import PlanAscent
+from doe.plan.moves import said_of_collisions
 from doe.problem.clearance import Clearance, from_box, nearest_to_box, shortest
 from doe.problem.constraints import Walls, constraints_of
 from doe.problem.problem import put_inside, random_postures
@@ -111,7 +112,8 @@ def test_what_is_always_near_may_stay_near(place: float, touching: int, asked: l
     clearance = Clearance(design_model(Model(Arm(np.array([400.0, 300.0]), cell=Cell(balls, clearance=10.0)))))
     assert len(clearance.touching) == touching
     assert clearance.asked.tolist() == pytest.approx(asked)
-    assert [f"ball {k} and first" in " ".join(clearance.not_looked_at()) for k in range(8)] == 8 * [place < 80.0]
+    said = " ".join(said_of_collisions([clearance], 2)[1])
+    assert [f"ball {k} and first" in said for k in range(8)] == 8 * [place < 80.0]
 
 
 def test_slopes_are_differences_of_margins(clearance: Clearance, postures: Array) -> None:
@@ -193,7 +195,7 @@ def test_a_planar_arm_and_spheres() -> None:
     fold = np.array([0.5, 1.0, 2.0, 3.0])
     postures = np.column_stack([np.full(4, 0.7), fold])
     (clearance,) = constraints_of(Model(arm))
-    assert clearance.not_looked_at() == ["Not looked at, since no body is known that moves with: joint 1."]
+    assert said_of_collisions([clearance], 2)[1] == ["Not looked at, since no body is known that moves with: joint 1."]
     np.testing.assert_allclose(Walls([clearance]).values(postures), clearance.margin(postures))
     np.testing.assert_allclose(clearance.margin(postures)[:, 0], 800.0 * np.cos(fold / 2.0) - 60.0, atol=1e-9)
 
@@ -242,14 +244,14 @@ def test_a_cell_whose_meshes_are_not_found_bars_nothing() -> None:
 def test_what_is_said_of_postures(clearance: Clearance, postures: Array) -> None:
     """Every pair that is too near by its run and distance, as counted by hand."""
     margins = clearance.margin(postures)
-    said = clearance.in_words(postures)
+    said = said_of_collisions([clearance], 3, postures)[1]
     near = [line for line in said if line.startswith("  run ")]
     assert len(near) == len(clearance.too_near(postures)) == int(np.sum(margins < -1e-3))
     assert f"{int(np.any(margins < -1e-3, axis=1).sum())} of {POSTURES} postures" in said[0]
     free = postures[np.all(margins >= 0.0, axis=1)]
     assert clearance.too_near(free) == []
     for rows in (free, np.repeat(free, 2, axis=0)):  # repeats are no further postures
-        assert f"stay 20 mm apart in all {len(free)} postures" in clearance.in_words(rows)[0]
+        assert f"stay 20 mm apart in all {len(free)} postures" in said_of_collisions([clearance], 3, rows)[1][0]
     first = clearance.too_near(postures)[0]
     pair = clearance.pairs.index(tuple(first["bodies"]))
     assert first["distance_mm"] == clearance.distance(postures)[first["run"] - 1, pair]
