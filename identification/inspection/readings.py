@@ -402,10 +402,19 @@ def data_warnings(measurements: Measurements, arm: Arm) -> list[str]:
     if arm.reach > 20000.0:  # [mm]
         how = "lengths that were written in millimetres there come out 1000 times too large"
         units.insert(0, f"the arm of the file reaches {arm.reach / 1000.0:.4g} m: a URDF has metres, and {how}")
+    # convention: 1 deg or 1 mm, far above what a controller leaves
+    most = np.where([kind == PRISMATIC for kind in arm.joint_types], 1.0, np.radians(1.0))
+    if measurements.repeats is not None:
+        _, firsts, numbers = np.unique(measurements.repeats, return_index=True, return_inverse=True)
+        off = np.abs(measurements.postures - measurements.postures[firsts[numbers]])
+        if (elsewhere := np.any(np.minimum(off, np.abs(off - 2.0 * np.pi)) > most, axis=1)).any():
+            row = int(np.argmax(elsewhere))
+            said = f"row {row + 1} has the number of row {firsts[numbers[row]] + 1} in the column posture"
+            units.append(f"{said}, and joints elsewhere: equal numbers mark repeats of one posture")
     if measurements.commanded is not None:
         off = np.median(np.abs(measurements.postures - measurements.commanded), axis=0)
-        beside = off > np.where([kind == PRISMATIC for kind in arm.joint_types], 1.0, np.radians(1.0))
-        if beside.any():  # convention: 1 deg or 1 mm, far above what a controller leaves
+        beside = off > most
+        if beside.any():
             joints = ", ".join(map(str, np.flatnonzero(beside) + 1))
             units.append(f"commanded and read differ by more than 1 deg or 1 mm, joints {joints}: are the units right?")
     first = measurements.rows(measurements.session_rows[0])

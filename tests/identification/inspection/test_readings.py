@@ -254,6 +254,8 @@ def test_good_data_are_not_doubted() -> None:
         commanded = replace(measured(), commanded=measured().postures + beside)
         assert [sentence[-len(said[0]) :] for sentence in data_warnings(commanded, ARM)] == said
     assert data_warnings(measured(8), ARM) == []  # too few to tell
+    for rows, said in ((np.arange(30), []), (np.arange(30) % 29, ["row 30 has the number of row 1 in the column"])):
+        assert [each[: len(said[0])] for each in data_warnings(replace(measured(), repeats=rows), ARM)] == said
 
 
 def ratio(said: str) -> float:
