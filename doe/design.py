@@ -196,6 +196,9 @@ class Design(PlanOfProblem):
         # a plan of whole runs should reach nine tenths of the bound where it determines every parameter
         hope = "Do not expect it near 1: the" if self.efficiency < 0.9 else "The"
         judge = f"{hope} bound allows fractions of a run. Judge by the mm."
+        if self.problem.beyond:
+            shared = in_a_sentence(float(np.sqrt(self.problem.beyond)))
+            judge += f" Of these {shared} mm RMS are what no plan can lower, which the efficiency leaves out."
         return f"{sentence}. Efficiency {self.efficiency:.4f}. {judge}"
 
     def _facts(self) -> Sheet:

@@ -49,7 +49,7 @@ def test_a_robust_plan_is_judged_by_millimetres() -> None:
 def test_a_plan_in_a_sentence() -> None:
     def verdict(criterion: str = "D", no_efficiency: str | None = None, **values: Any) -> str:
         usual = {"efficiency": None, "certified_optimal": False, "expected_error": None, "bound": None}
-        stated = SimpleNamespace(criterion=SimpleNamespace(name=criterion), choices=None, fit="")
+        stated = SimpleNamespace(criterion=SimpleNamespace(name=criterion), choices=None, fit="", beyond=0.05**2)
         plan = Plan(np.zeros((20, 2)))
         return Design.verdict.fget(  # type: ignore[attr-defined]
             SimpleNamespace(problem=stated, plan=plan, no_efficiency=no_efficiency, **(usual | values))
@@ -58,9 +58,11 @@ def test_a_plan_in_a_sentence() -> None:
     assert verdict(efficiency=0.98765) == "The plan of 20 runs has the efficiency 0.9877 (D)."
     assert verdict("D", "no bound is known") == "The plan of 20 runs has no efficiency: no bound is known (D)."
     listed = Bound(-9.0, "grid", True, candidates=2000)
-    error = {"bound": listed, "efficiency": 0.329, "expected_error": {"plan": 0.158, "bound": 0.0808}}
+    share = (0.0808**2 - 0.05**2) / (0.158**2 - 0.05**2)
+    error = {"bound": listed, "efficiency": share, "expected_error": {"plan": 0.158, "bound": 0.0808}}
     said = verdict("I", **error)
-    for part in ("an error of 0.158 mm at the tip", "of 2,000 postures is below 0.0808 mm", "0.3290. Do not expect"):
+    figures = f"Efficiency {share:.4f}. Do not expect", "Of these 0.0500 mm"
+    for part in ("an error of 0.158 mm at the tip", "of 2,000 postures is below 0.0808 mm", *figures):
         assert part in said
     assert "bound" not in verdict("I", **(error | {"efficiency": None}))  # none applies
     optimal = "optimal up to a numerical bound"
