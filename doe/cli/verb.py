@@ -314,11 +314,14 @@ def stoppable() -> Iterator[None]:
 
 
 @contextmanager
-def interruptible(kept: str) -> Iterator[None]:
-    """Ctrl-C or SIGTERM in one sentence, whose end says what is kept."""
+def interruptible(kept: str, rows: Path | None = None) -> Iterator[None]:
+    """Ctrl-C or SIGTERM in one sentence, whose end says what is kept, or in which folder finished rows are."""
     try:
         yield
     except (KeyboardInterrupt, click.Abort) as error:
+        if rows is not None:
+            there = any(rows.glob("*.parquet"))
+            kept = f"; finished rows are kept in {rows}, go on with --resume" if there else "; no row was finished"
         raise JobError(f"stopped by {next(iter(error.args), 'Ctrl-C')}{kept}") from None
 
 

@@ -422,8 +422,7 @@ def compare_files(
     asked: dict[str, Any] = {"starts": starts or [None], "repeats": repeats, "seconds": seconds, "criteria": criteria}
     asked |= {"path": job.out and job.out / "rows.parquet", **job.how(seed, progress, 1)}
     loaded = [load_arm(arm) for arm in arms]
-    kept = f"finished rows are kept in {job.out}, go on with --resume" if job.out else "without --out nothing is kept"
-    with interruptible(f"; {kept}"):
+    with interruptible("; without --out nothing is kept", job.out):
         rows = compare(loaded, runs, [*available_solvers()] if solvers is None else solvers, **asked)
         shown, summed = comparison_parts(rows), summary(rows)
         if job.out is not None:
@@ -608,7 +607,7 @@ def study_files(
     if cells and study not in BUILT_IN:
         raise InputError(f"--cell: {cells[0]!r} of the study {study}, allowed: of blind and blind-spatial")
     folder, how = job.out or Path(study).with_suffix(".results"), job.how(seed, progress)
-    with interruptible(f"; finished rows are kept in {folder}, go on with --resume"):
+    with interruptible("", folder):
         if study in BUILT_IN:
             from doe.studies.blind.cells import CELLS
             from doe.studies.blind.study import blind_parts, blind_study, reliability_figure

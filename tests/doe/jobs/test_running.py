@@ -58,8 +58,7 @@ def test_rows_come_in_the_order_of_the_keys_and_from_their_own_seeds(threads: bo
         frame = rows(work.draw, seed=5)
     assert frame["task"].to_list() == [k for k in range(12) for _ in range(2)]
     assert frame["value"].to_list() == work.drawn(KEYS, seed=5)
-    assert len(set(frame["value"])) == 24
-    assert set(frame["status"]) == {"done"}
+    assert (len(set(frame["value"])), set(frame["status"])) == (24, {"done"})
 
 
 def test_a_task_that_fails_is_a_row() -> None:

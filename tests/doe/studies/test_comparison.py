@@ -145,3 +145,6 @@ def test_ctrl_c_after_the_last_row_says_that_rows_are_kept(tmp_path: Path, monke
     done = CliRunner().invoke(main.commands["compare"], options)
     assert (done.exit_code, f"finished rows are kept in {out}" in done.stderr) == (1, True)
     assert [file.name for file in out.iterdir()] == ["rows.parquet"]
+    monkeypatch.setattr("doe.studies.comparison.compare", Mock(side_effect=KeyboardInterrupt))
+    early = CliRunner().invoke(main.commands["compare"], [*options[:-1], str(tmp_path / "none")])
+    assert early.stderr.endswith("; no row was finished\n")

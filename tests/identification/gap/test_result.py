@@ -56,8 +56,7 @@ def test_verdict_and_probabilities_never_contradict_each_other() -> None:
             assert replace(found, explanations={None: 2.1 * max(found.places.values())}).place is None
         p = float(rng.choice([1e-3, 1e-9, 0.0]))  # that noise leaves so much
         guarded = found.not_none(p)
-        assert guarded.of(()) == pytest.approx(p * found.of(()))
-        assert sum(guarded.explanations.values()) == pytest.approx(1.0)
+        assert (guarded.of(()), sum(guarded.explanations.values())) == pytest.approx((p * found.of(()), 1.0))
         assert guarded.verdict != "none"
         shares = list(found.credible.values())
         assert shares == sorted(shares, reverse=True)

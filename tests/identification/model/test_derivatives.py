@@ -203,8 +203,7 @@ def test_parameter_sets_broadcast_like_single_calls() -> None:
     model, conditions = Model(Arm(FOUR_LINKS, effects=effects)), Conditions(time=np.linspace(-0.5, 0.5, 6))
     sets = generator.uniform(0, 1, (5, len(model.names))) / model.scales
     position, jacobian = model.linearize(PLANE, sets, conditions)
-    assert position.shape == (5, 6, 2)
-    assert jacobian.shape == (5, 6, 2, len(model.names))
+    assert (position.shape, jacobian.shape) == ((5, 6, 2), (5, 6, 2, len(model.names)))
     for k in range(5):
         expected = model.position(PLANE, sets[k], conditions), model.jacobian(PLANE, sets[k], conditions)
         np.testing.assert_allclose(position[k], expected[0], rtol=0, atol=1e-10)  # [mm] of some 1e3

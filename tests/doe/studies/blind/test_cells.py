@@ -250,6 +250,5 @@ def test_outliers_are_15_sigma_away() -> None:
     rows, model = data.measurements, Model(fitted_arm(data.arm, data.measurements, data.specs, data.wrong_rows))
     missed = np.linalg.norm(rows.positions - model.position(rows.postures, model.values, rows.conditions), axis=1)
     wrong = np.flatnonzero(missed > 10.0 * data.arm.sigma) + 1
-    assert tuple(wrong.tolist()) == data.wrong_rows
-    assert len(wrong) == 3
+    assert (tuple(wrong.tolist()), len(wrong)) == (data.wrong_rows, 3)
     assert missed[wrong - 1] / data.arm.sigma == pytest.approx(15.0, abs=5.0)  # noise of 3 coordinates, and its share
