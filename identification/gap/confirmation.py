@@ -192,17 +192,18 @@ class HeldOut:
         if not (self.elsewhere and chain.instrument.reads_positions):
             return before, after, ()
         calibrated = (
-            replace(one.model.arm, calibration=Calibration(one.model.best_known | one.by_name)) for one in (base, model)
+            replace(one.model.arm, calibration=Calibration(one.model.best_known | one.by_name))
+            for one in dict.fromkeys((base, model))  # often one and the same
         )
         try:
             fits = [placed(arm, self.rows, conditions) for arm in calibrated]
         except InputError:  # too few rows
             return before, after, ()
         again = [left[:, POINT] * np.sqrt(left.size / max(left.size - count, 1)) for _, _, left, count in fits]
-        if after.size <= 2 * fits[1][3] or np.linalg.norm(after) <= FALL * np.linalg.norm(again[1]):
+        if after.size <= 2 * fits[-1][3] or np.linalg.norm(after) <= FALL * np.linalg.norm(again[-1]):
             return before, after, ()
         points = [f"reflector {name}".strip() for name in self.rows.marker_names or ("",)] if chain.point_column else []
-        return again[0], again[1], ("base", *points)
+        return again[0], again[-1], ("base", *points)
 
     def parameter_part(self, model: PredictingModel) -> Mean:
         """Mean square distance [mm^2] due to errors of the parameters, tr(G C) with the variance 2 tr(G C G C),

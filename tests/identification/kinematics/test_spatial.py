@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import casadi as ca
@@ -51,6 +52,12 @@ def twist(motion: Array) -> Array:
     return found
 
 
+@cache
+def moved(size: float, *screw: float) -> Array:
+    """(4, 4) exponential of so much of a screw motion, of which differences of places ask for the same many times."""
+    return np.asarray(expm(size * twist(np.array(screw))))
+
+
 def tip_by_exponentials(chain: KinematicChain, q: Array, values: dict[str, float], tool: Array) -> Array:
     """(3,) the measured point."""
     error = np.array([values.get(f"tool[1].{axis}", 0.0) for axis in "xyz"])
@@ -63,15 +70,14 @@ def places_by_exponentials(chain: KinematicChain, q: Array, values: dict[str, fl
     shift, turn = ([values.get(f"base.{r}{axis}", 0.0) for axis in "xyz"] for r in ("", "r"))
     place = pose(shift) @ chain.base
     for k in range(3):
-        place = place @ expm(turn[k] * twist(np.eye(6)[3 + k])) if turn[k] else place
+        place = place @ moved(turn[k], *np.eye(6)[3 + k]) if turn[k] else place
     found = [place]
     for j, (joint, angle) in enumerate(zip(chain.joints, q, strict=True), start=1):
         place = place @ joint.origin
         for k, name in enumerate(f"{kind}_{axis}:{j}" for kind in ("translation", "rotation") for axis in "xyz"):
-            place = place @ expm(values[name] * twist(np.eye(6)[k])) if values.get(name) else place
-        along = joint.type == PRISMATIC
-        screw = np.r_[joint.axis, np.zeros(3)] if along else np.r_[np.zeros(3), joint.axis]
-        place = place @ expm((angle + values.get(f"joint_offset:{j}", 0.0)) * twist(screw))
+            place = place @ moved(values[name], *np.eye(6)[k]) if values.get(name) else place
+        screw = (*joint.axis, 0.0, 0.0, 0.0) if joint.type == PRISMATIC else (0.0, 0.0, 0.0, *joint.axis)
+        place = place @ moved(angle + values.get(f"joint_offset:{j}", 0.0), *screw)
         found.append(place)
     return [*found, place @ chain.end]
 
