@@ -46,11 +46,8 @@ def capsules_around(triangles: Array, most: int = 8) -> Array:
             along = (part - middle) @ np.linalg.eigh((part - middle).T @ (part - middle))[1][:, 2]
             halves = [part[along < 0.0], part[along >= 0.0]]
             parts += halves if min(map(len, halves)) else [part, part]
-        capsules = np.array([like(part) for part in parts])
-        for weight in (3.0, 100.0):
-            value, capsules = fitted(capsules, surface, around, weight)
-        found.append((value, capsules))
-        tight = -from_capsules(capsules, around)[0].min(initial=0.0) < max(0.3 * cell, 3.0)
+        found.append(fitted(np.array([like(part) for part in parts]), surface, around, 3.0, 100.0))
+        tight = -from_capsules(found[-1][1], around)[0].min(initial=0.0) < max(0.3 * cell, 3.0)
         if tight or many == most:
             break
     best = min(value for value, _ in found)
@@ -101,13 +98,15 @@ def objective(flat: Array, surface: Array, around: Array, weight: float) -> tupl
     return value, gradient.ravel()
 
 
-def fitted(capsules: Array, surface: Array, around: Array, weight: float) -> tuple[float, Array]:
-    """The objective, and capsules (k, 7) after some steps."""
-    data, options = (surface, around, weight), {"maxiter": 30}
-    fit = minimize(objective, capsules.ravel(), data, jac=True, method="L-BFGS-B", options=options)
-    better = fit.x.reshape(-1, 7)
-    better[:, 6] = np.abs(better[:, 6])
-    return float(fit.fun), better
+def fitted(capsules: Array, surface: Array, around: Array, *weights: float) -> tuple[float, Array]:
+    """The objective, and capsules (k, 7), after some steps with each weight."""
+    options = {"maxiter": 30}
+    for weight in weights:
+        data = surface, around, weight
+        fit = minimize(objective, capsules.ravel(), data, jac=True, method="L-BFGS-B", options=options)
+        capsules = fit.x.reshape(-1, 7)
+        capsules[:, 6] = np.abs(capsules[:, 6])
+    return float(fit.fun), capsules
 
 
 def sticking_out(capsules: Array, faces: Array) -> tuple[Array, Index]:

@@ -465,10 +465,7 @@ def room_of(model: Any, constraints: Sequence[Constraint], spare: float = 0.0) -
     longest = np.where(turns(model), getattr(model, "reach", 0.0), 1.0)
     for each in constraints:
         slack.append(slack_of(each, constraints, spare))
-        levers.append(
-            each.levers() if isinstance(each, Clearance) else np.where(slack[-1][:, None] > ROUNDING, longest, 0.0)
-        )
-    walls, beside = Walls(constraints), np.concatenate(slack)
-    return Room(
-        lambda q: walls.values(q) + beside, np.concatenate(levers), model.lower, model.upper, joint_units(model)
-    )
+        all_along = slack[-1][:, None] > ROUNDING
+        levers.append(each.levers() if isinstance(each, Clearance) else np.where(all_along, longest, 0.0))
+    walls, beside, units = Walls(constraints), np.concatenate(slack), joint_units(model)
+    return Room(lambda q: walls.values(q) + beside, np.concatenate(levers), model.lower, model.upper, units)

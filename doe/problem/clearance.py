@@ -135,8 +135,6 @@ class Clearance:
         """
         m, placed, (pair, first, second) = len(postures), self._placed(postures)[1], self._pieces.T
         nearest, starts = np.empty((m, len(self.pairs)), dtype=np.intp), np.flatnonzero(np.diff(pair, prepend=-1))
-        if not self.pairs:
-            return np.empty((m, 0)), nearest
         middle, half = 0.5 * (placed[0] + placed[1]), 0.5 * length(placed[1] - placed[0])
         walls, most = second >= self._capsules, length(middle[..., first] - middle[..., second])
         box = second[walls] - self._capsules
