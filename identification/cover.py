@@ -66,14 +66,10 @@ def capsules_around(triangles: Array, most: int = 8) -> Array:
 def from_capsules(capsules: Array, points: Array) -> tuple[Array, Array]:
     """(m, k) signed distances of points (m, 3) from capsules (k, 7), and where on each axis, 0 to 1, they are from."""
     start, along, radius = capsules[:, :3], capsules[:, 3:6] - capsules[:, :3], capsules[:, 6]
-
-    def dots(one: Array, other: Array) -> Array:
-        return np.asarray(np.einsum("ij,ij->i", one, other))
-
-    squared = np.maximum(dots(along, along), 1e-9)
-    offset = points @ along.T - dots(start, along)
+    squared = np.maximum(np.vecdot(along, along), 1e-9)
+    offset = points @ along.T - np.vecdot(start, along)
     at = np.clip(offset / squared, 0.0, 1.0)
-    to_start = dots(points, points)[:, None] - 2.0 * points @ start.T + dots(start, start)
+    to_start = np.vecdot(points, points)[:, None] - 2.0 * points @ start.T + np.vecdot(start, start)
     return np.sqrt(np.maximum(to_start + at * (at * squared - 2.0 * offset), 0.0)) - radius, at
 
 

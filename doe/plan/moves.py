@@ -287,7 +287,7 @@ def drive(
     if not solid and approach == "any" and order is None:
         return Drive(plan, plan, {}, [])
     order, rows = order or ("travel" if solid and len(plan) <= MANY else "given"), np.arange(len(plan))
-    room, given = room_of(problem.model, problem.constraints, 0.02), plan.postures
+    room, given = room_of(problem.model, problem.constraints, 0.97), plan.postures
     turn = one_turn(problem, room, given) if solid else np.asarray
     postures = given = turn(given)[generator.permutation(rows) if order == "random" else rows]
     counts = np.eye(problem.joints) if counts is None else counts
@@ -442,30 +442,28 @@ def clearance_of(constraints: Sequence[Constraint]) -> Clearance | None:
     return next((each for each in constraints if isinstance(each, Clearance)), None)
 
 
-def slack_of(each: Constraint, constraints: Sequence[Constraint], spare: float = 0.0) -> Array:
+def slack_of(each: Constraint, constraints: Sequence[Constraint]) -> Array:
     """(k,) [mm] by how much postures on the way may fall short of one of the constraints on what is measured.
-
-    spare : share of the clearance, and of the distance of walls, that is kept besides
 
     Of the clearance half is kept, beyond which a body may be where it is not thought to be. Where bodies are known the
     walls of the arm file are kept to 10 mm, since many postures are on one, else by the ends of moves; as are limits of
     joints that are counted together. A line of sight may be blocked between measurements.
     """
     if isinstance(each, Clearance):
-        return np.where(each.of_sight, np.inf, (1.0 - MOVING - spare) * each.asked + ROUNDING)
+        return np.where(each.of_sight, np.inf, (1.0 - MOVING) * each.asked + ROUNDING)
     all_along = clearance_of(constraints) is not None and each.kind in KINDS and each.kind != "joint_limits"
     at_ends = np.inf if each.kind == "line_of_sight" else ROUNDING
-    return np.full(each.count, (1.0 - spare) * WALL if all_along else at_ends)
+    return np.full(each.count, WALL if all_along else at_ends)
 
 
-def room_of(model: Any, constraints: Sequence[Constraint], spare: float = 0.0) -> Room:
-    """What the moves of an arm with these constraints keep free;  spare : as of `slack_of`"""
+def room_of(model: Any, constraints: Sequence[Constraint], share: float = 1.0) -> Room:
+    """What the moves of an arm with these constraints keep free;  share : of what `slack_of` allows that they may use"""
     slack, levers = [np.empty(0)], [np.empty((0, len(model.lower)))]
     # links are nowhere farther from the axis of any joint than the stretched arm is long
     longest = np.where(turns(model), getattr(model, "reach", 0.0), 1.0)
     for each in constraints:
-        slack.append(slack_of(each, constraints, spare))
+        slack.append(slack_of(each, constraints))
         all_along = slack[-1][:, None] > ROUNDING
         levers.append(each.levers() if isinstance(each, Clearance) else np.where(all_along, longest, 0.0))
-    walls, beside, units = Walls(constraints), np.concatenate(slack), joint_units(model)
+    walls, beside, units = Walls(constraints), share * np.concatenate(slack), joint_units(model)
     return Room(lambda q: walls.values(q) + beside, np.concatenate(levers), model.lower, model.upper, units)
