@@ -457,7 +457,7 @@ def slack_of(each: Constraint, constraints: Sequence[Constraint]) -> Array:
 
 
 def room_of(model: Any, constraints: Sequence[Constraint], share: float = 1.0) -> Room:
-    """What the moves of an arm with these constraints keep free;  share : of what `slack_of` allows that they may use"""
+    """What the moves of an arm with these constraints keep free;  share : of `slack_of` that they may use"""
     slack, levers = [np.empty(0)], [np.empty((0, len(model.lower)))]
     # links are nowhere farther from the axis of any joint than the stretched arm is long
     longest = np.where(turns(model), getattr(model, "reach", 0.0), 1.0)
