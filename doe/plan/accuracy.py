@@ -285,8 +285,9 @@ class TipErrors:
         errors |= {"model_right": float(np.sqrt(right.mean())), "model_right_worst": float(np.sqrt(right.max()))}
         if wide.missing:
             spread = sigma * posterior + (noise - sigma) * posterior @ information[:p, :p] @ posterior
-            lacking = np.concatenate([posterior @ information[:p, p:], -np.eye(wide.parameters - p)])
-            squares = np.sum(lacking * (self._weight @ lacking), axis=0)  # of the tip's error, per scaled parameter
+            taken = posterior @ information[:p, p:]  # by the geometry, of each effect
+            squares = np.sum(taken * (self._weight[:p, :p] @ taken - 2.0 * self._weight[:p, p:]), axis=0)
+            squares += np.diag(self._weight)[p:]  # of the tip's error, per scaled parameter
             missing = np.sum(spread * self._weight[:p, :p]) + squares @ (noise / wide.precisions[p:]) + wide.beyond
             errors["effects_missing"] = float(np.sqrt(missing))
         return errors
