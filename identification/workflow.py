@@ -256,6 +256,8 @@ def simulate_files(arm: Path, plan: Path, *, truth: Path, out: Written, force: b
     from identification.effects import build_all
     from identification.files.arm import load_arm
     from identification.files.measurement import Plan, measurement_text
+    from identification.kinematics.chain import TOOL
+    from identification.model import Model
     from identification.simulate import simulate
 
     loaded, true_arm = load_arm(arm), load_arm(truth)
@@ -273,6 +275,11 @@ def simulate_files(arm: Path, plan: Path, *, truth: Path, out: Written, force: b
         if not effect.scatter and not any(p.short in spec.values or p.name in calibrated for p in effect.parameters):
             keys = ", ".join(p.toml_key for p in effect.parameters)
             warnings.warn(f"{truth}: {effect.key} has no value and does nothing; it has {keys}", stacklevel=2)
+    chain, known = true_arm.chain, Model(true_arm).best_known
+    lost = [name for name, at in chain.tools.items() if not at[:3, 3].any() and not known.get(f"{TOOL}[{name}].x")]
+    if chain.point_column and lost and TOOL not in chain.settled:
+        place = "0, 0, 0 mm in the frame of the tip, where armcal design assumes it 100 mm beside the last axis"
+        warnings.warn(f"{truth}: no [tool]: what is measured is at {place}; give [tool] in both files", stacklevel=2)
     with InputError.at(truth):
         data = simulate(true_arm, wanted.postures, np.random.default_rng(seed), sigma=sigma, **wanted.conditions)
     text = measurement_text(replace(data, fit=wanted.fit), loaded.joint_types, loaded.chain.instrument)
