@@ -75,6 +75,13 @@ def library_prior(
     effects = [b.effect for b in every.members if b.effect]
     settings = Counter(effect.spec.key for effect in effects)
     whole = {effect.name for effect in effects if effect.joint is None}  # then not at single joints besides
+    stiffer = np.ones(arm.links)
+    if arm.gravity is not None:  # gears and bearings are as stiff as what they carry, of the stretched arm, asks for
+        masses = np.cumsum([arm.gravity.payload, *arm.gravity.link_masses[::-1]])[:0:-1]  # [kg] beyond each joint
+        torques = np.linalg.norm(arm.gravity.acceleration) * masses * arm.chain.levers / 1000.0
+        # convention: typical compliances are of joints that carry up to 1,000 N m; an RV gear for 3,000 N m has 3e-7
+        # rad/(N m), and what is around it gives way, too
+        stiffer = 1000.0 / np.maximum(torques, 1000.0)
     added, deviations, faster = list[EffectSpec](), list[float](), np.zeros(arm.links)
     for effect, key in ((effect, effect.spec.key) for effect in effects):
         wanted = effect.prior == 1.0 if names is None else effect.name in names  # the rare ones only by name
@@ -91,6 +98,8 @@ def library_prior(
             # [rad] of an error curve's wave once per turn, as `a` and `b`: a typical compliance under 100 N m
             curve, share = 1e-3 / wave if wave and names is None else 0.0, np.sqrt(effect.prior / settings[key])
             each = [float(np.hypot((p.typical or 0.0) * share, curve)) for p in effect.parameters]
+            for k, p in enumerate(effect.parameters, start=1):
+                each[k - 1] *= stiffer[(effect.joint or k) - 1] if p.unit == "rad/(N m)" else 1.0
             if wave > fastest:
                 faster[effect.joint_index] += each[0] ** 2
             else:

@@ -98,8 +98,7 @@ def test_pooled_tables() -> None:
     two = session(1, 2, repeats=[0, 5], order=[1, 2])
     with pytest.warns(UserWarning, match="left out: sigma"):
         data = pooled_sessions({"a": one, "b": two})
-    assert data.session.tolist() == ["a"] * 3 + ["b"] * 2
-    assert data.repeats[0] == data.repeats[1]
+    assert (data.session.tolist(), data.repeats[0]) == (["a"] * 3 + ["b"] * 2, data.repeats[1])
     assert len(set(data.repeats.tolist())) == 4  # 5 in one table is not 5 in the other
     np.testing.assert_array_equal(data.conditions.time, [-0.5, 0.0, 0.5, -0.5, 0.5])
     given, plain = session(0, 3, order=[3, 1, 2], directions=-np.ones((3, 3))), session(1, 2)

@@ -67,8 +67,7 @@ def test_a_bound_only_where_solved_or_cut_by_time(status: Status) -> None:
     if status not in (Status.converged, Status.time_limit):
         assert found.bound is data["bound"] is None
         return
-    assert found.bound.cut == (status is Status.time_limit)
-    assert found.bound.value == found.upper
+    assert (found.bound.cut, found.bound.value) == (status is Status.time_limit, found.upper)
     assert json.loads(json.dumps(data)) == data
     assert data["support"][3] == {"posture_deg": pytest.approx([0.0, -90.0, 60.0, 90.0]), "weight": 0.125}
 

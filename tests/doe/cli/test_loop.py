@@ -172,8 +172,7 @@ def test_a_page_of_everything(campaign: Folder) -> None:
     names = "arm.toml cal.toml plan.csv data.csv other.csv"
     found = campaign.said(f"report {names} --out page.html --seed 3 --force")
     kinds = {entry["file"]: entry["kind"] for entry in found["files"]}
-    assert list(kinds) == names.split()
-    assert kinds["cal.toml"] == "arm with a calibration"
+    assert (list(kinds), kinds["cal.toml"]) == (names.split(), "arm with a calibration")
     assert (kinds["plan.csv"], kinds["other.csv"]) == ("plan", "measurements")
     assert len(found["verdict"]) == 3  # unseen rows, those of the fit, of the plan
     text = campaign.read("page.html")

@@ -164,8 +164,7 @@ def test_cluster_with_a_killed_worker_and_then_a_killed_scheduler(
 
     monkeypatch.setattr(jobs, "EVERY", 0.0)
     frame = run_tasks(work.slow_draw, MANY, path, workers, progress=kill_one)
-    assert len(victims) == 1
-    assert len(set(frame["process"])) == 2
+    assert (len(victims), len(set(frame["process"]))) == (1, 2)
     assert victims[0] not in set(frame["process"][-20:])
     assert pl.read_parquet(path).equals(frame)  # in the order of the keys, whoever finished first
     assert frame.drop("seconds", "process").equals(rows(work.draw, 1, MANY))
@@ -278,8 +277,7 @@ def test_ctrl_c_keeps_what_is_finished(tmp_path: Path, monkeypatch: pytest.Monke
     assert len([*tmp_path.iterdir()]) == (0 if writing else 1)
     seen = list[float]()
     frame = run(payload=lambda _: "", resume=True, progress=lambda done, *_: seen.append(done))
-    assert seen == [*range(0 if writing else 3, 13)]
-    assert frame["value"].to_list() == work.drawn(KEYS)
+    assert (seen, frame["value"].to_list()) == ([*range(0 if writing else 3, 13)], work.drawn(KEYS))
 
 
 def test_bad_places_and_foreign_files_are_refused(tmp_path: Path) -> None:

@@ -85,6 +85,11 @@ def test_what_the_rows_cannot_show_is_left_out_with_its_reason(monkeypatch: pyte
     heavy = library_prior(replace(ARM, gravity=Gravity([0.0, -9.81], [5.0, 3.0], [0.5, 0.5])))
     names = [name for name in heavy.prior.deviations if name.startswith("joint_compliance")]
     assert names == ["joint_compliance.c1", "joint_compliance.c2"]
+    assert [heavy.prior.deviations[name] for name in names] == [1e-5, 1e-5]
+    # where links carry more than 1,000 N m, gears are as much stiffer as that is more
+    heavy = library_prior(replace(ARM, gravity=Gravity([0.0, -9.81], [500.0, 3000.0], [0.5, 0.5], 100.0)))
+    expected = 0.01 / (9.81 * np.array([3600.0 * 0.3, 3100.0 * 0.2]))
+    assert [heavy.prior.deviations[name] for name in names] == pytest.approx(expected)
 
 
 def test_own_effects_have_no_prior_and_keep_their_values() -> None:
