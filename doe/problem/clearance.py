@@ -74,15 +74,19 @@ class Clearance:
             pair = names[one], names[other]
             if joints[one] != joints[other] and first and second and frozenset(pair) not in unasked:
                 pieces += [(len(pairs), a, b) for a in first for b in second]
-                pairs.append(pair)  # what stands still is looked at wherever it is, but for what a tracker is in
-                sight = names[one] == cell.SIGHT and not joints[other]
-                always.append(sight and not holds(parts[0][other], parts[1][other], parts[0][one][0, :3]))
+                pairs.append(pair)
+                always.append(names[one] == cell.SIGHT and not joints[other])
         self._pieces, self.pairs = np.array(pieces, dtype=int).reshape(-1, 3), tuple(pairs)
         # of all pairs those that are looked at, by random postures: not those that always touch
         drawn = np.random.default_rng(0).uniform(model.lower, model.upper, (1000, len(model.lower)))
         apart = self.distance(drawn)
         largest = np.quantile(apart, 0.98, axis=0)  # seldom postures aside
-        kept = (largest > 0.0) | np.array(always, dtype=bool)
+        # and what hides the arm wherever it stands, but for what a tracker is in: of its lines of sight the first end
+        at_rest = np.moveaxis(self._ends, 2, 1)[:, :, None]
+        at_rest = np.where(self._frames[0] == self._frames[1], at_rest, at_rest[0])
+        every = np.arange(len(self._pieces))
+        within = self._pieces[self._witness(at_rest, 0 * every, every)[0] <= 0.0, 0]
+        kept = (largest > 0.0) | (np.array(always, dtype=bool) & ~np.isin(np.arange(len(pairs)), within))
         self.touching, self.pairs = (tuple(pairs[k] for k in np.flatnonzero(each)) for each in (~kept, kept))
         lengths = np.linalg.norm(np.diff(model.joint_frames(drawn[:1])[0, :, :3, 3], axis=0), axis=1)
         bare = [f"joint {j}" for j in (np.flatnonzero(lengths > ROUNDING) + 1).tolist() if j not in joints]
@@ -241,14 +245,6 @@ def from_box(points: Array, half: Array) -> Array:
     away = np.maximum(beyond, 0.0)
     deepest = np.maximum(np.maximum(beyond[0], beyond[1]), beyond[2])  # thrice as fast as a reduction
     return np.asarray(length(away) + np.minimum(deepest, 0.0))
-
-
-def holds(capsules: Array, boxes: Array, place: Array) -> bool:
-    """Whether a place (3,) is in one of capsules (k, 7) or boxes (k, 15)."""
-    point, axes = np.tile(place[:, None], len(capsules)), (capsules[:, :3].T, capsules[:, 3:6].T)
-    away = shortest(point, point, *axes)[2]
-    along = np.einsum("kij,ki->jk", boxes[:, 3:12].reshape(-1, 3, 3), place - boxes[:, :3])
-    return bool(np.any(np.r_[length(away) - capsules[:, 6], from_box(along, boxes[:, 12:].T)] <= 0.0))
 
 
 def nearest_to_box(a: Array, b: Array, half: Array) -> tuple[Array, Array]:
