@@ -115,16 +115,13 @@ class Shape(ByValue):
         return np.r_[self.place[:3, 3] - half, self.place[:3, 3] + half, self.size[0]]
 
     def triangles(self) -> Array:
-        """(t, 3, 3) [mm] of the surface in its own frame, of a cylinder that of a prism around it. Raises `InputError`
-        for a mesh that cannot be read."""
+        """(t, 3, 3) [mm] of the surface in its own frame, if it is not round, of a cylinder that of a prism around it.
+        Raises `InputError` for a mesh that cannot be read."""
         if self.kind == "mesh":
             return read_mesh(self.file) * self.size
         if self.kind == "box":
             return hull(0.5 * self.size * CUBE)
-        up = 0.5 * self.size[1:].sum() * Z
-        if self.kind in ROUND:
-            return rounded(np.r_[-up, up, self.size[0]])
-        rim = self.size[0] / np.cos(np.pi / 48) * ring(Z)  # 48 sides
+        rim, up = self.size[0] / np.cos(np.pi / 48) * ring(Z), 0.5 * self.size[1] * Z  # 48 sides
         return hull(np.concatenate([rim + up, rim - up]))
 
 
@@ -213,24 +210,24 @@ class ShapedBodies(ByValue, Sequence[Body]):
             parts.setdefault((name, joint), []).append(shape)
         bodies = list[Body]()
         for (name, joint), shapes in parts.items():
-            triangles = [shape.triangles() for shape in shapes]
-            for shape, own in zip(shapes, triangles, strict=True):
+            capsules, boxes = [shape.capsule for shape in shapes if shape.kind in ROUND], np.empty((0, 15))
+            drawn, rest = [*map(rounded, capsules)], [shape for shape in shapes if shape.kind not in ROUND]
+            triangles = [shape.triangles() for shape in rest]
+            for shape, own in zip(rest, triangles, strict=True):
                 long = float(np.ptp(own, axis=(0, 1)).max()) if shape.kind == "mesh" else self.reach
                 if not 1e-3 * self.reach < long < 20.0 * self.reach:
                     unit = "millimetres as metres" if long > self.reach else "metres as millimetres"
                     state = f"{long:.4g} mm long beside an arm that reaches {self.reach:.4g} mm, like {unit}"
                     raise InputError(f"{shape.file}: body {name} is {state}, allowed: another unit or scale")
-            drawn = [own @ s.place[:3, :3].T + s.place[:3, 3] for s, own in zip(shapes, triangles, strict=True)]
-            capsules = np.reshape([shape.capsule for shape in shapes if shape.kind in ROUND], (-1, 7))
-            rest, boxes = [k for k, shape in enumerate(shapes) if shape.kind not in ROUND], np.empty((0, 15))
             if rest:
-                solid = np.concatenate([drawn[k] for k in rest])
-                size = np.ptp(solid, axis=(0, 1))
+                solids = [own @ s.place[:3, :3].T + s.place[:3, 3] for s, own in zip(rest, triangles, strict=True)]
+                drawn.append(np.concatenate(solids))
+                size = np.ptp(drawn[-1], axis=(0, 1))
                 if joint or (name == self.ends[0] and size.min() > 0.3 * size.max()):
-                    capsules = np.concatenate([capsules, capsules_around(solid)])
+                    capsules += [*capsules_around(drawn[-1])]
                 else:
-                    boxes = np.concatenate([boxes_around(triangles[k], shapes[k].place) for k in rest])
-            bodies.append(Body(name, joint, capsules, boxes, np.concatenate(drawn)))
+                    boxes = np.concatenate([boxes_around(own, s.place) for s, own in zip(rest, triangles, strict=True)])
+            bodies.append(Body(name, joint, np.array(capsules), boxes, np.concatenate(drawn)))
         return bodies, tuple(missing)
 
 
