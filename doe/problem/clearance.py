@@ -270,6 +270,5 @@ def nearest_to_box(a: Array, b: Array, half: Array) -> tuple[Array, Array]:
         low[within], high[within] = np.where(rises, [low[within], middle], [middle, high[within]])
     back, ahead = (each / np.maximum(length(each), TINY) for each in (out(low), out(high)))
     falling, rising = dot(back, along), dot(ahead, along)
-    between = (falling < 0.0) & (rising > 0.0)
-    weight = np.where(between, rising / np.where(between, rising - falling, 1.0), falling >= 0.0)
-    return np.where(falling >= 0.0, low, high), weight * back + (1.0 - weight) * ahead
+    weight = np.clip(rising / np.maximum(rising - falling, TINY), 0.0, 1.0)
+    return high, weight * back + (1.0 - weight) * ahead

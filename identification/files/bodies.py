@@ -51,8 +51,7 @@ def _stl(content: bytes) -> Array:
 
 def _obj(content: bytes) -> Array:
     places = np.array(re.findall(rb"^\s*v\s+(\S+)\s+(\S+)\s+(\S+)", content, re.MULTILINE), dtype=float).reshape(-1, 3)
-    triangles = []
-    seen = 0  # vertices before the face
+    triangles, seen = [], 0  # vertices before the face
     for line in re.findall(rb"^\s*(v\s|f\s.*)", content.replace(b"\\\n", b" "), re.MULTILINE):
         if line.startswith(b"v"):
             seen += 1
