@@ -40,12 +40,6 @@ KEEPS = "confirmed with 3 x the reachable error"
 OF_ALL = ("intervals, base", "intervals, effects", "contradiction")  # measures of all cells together
 OUTCOMES = ("met", "within its error", "missed")
 EDGES = (0.0, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99, 1.0)  # bins of what is said with which probability
-FOLLOWING = {  # where an effect of the library is that has no joint
-    "time": ("base_drift", "base_rotation_drift", "base_step", "thermal_transient", "joint_step", "link_step"),
-    "temperature": ("thermal_growth",),
-    "payload": ("payload_error",),
-    "workspace": ("axes_skew", "measurement_scale"),
-}
 Judged = dict[str, Any]
 RELIABLE: Columns = {"stated": ("bin", ""), "mean": ("said", ".3f"), "right": ("right", ".3f"), "sets": ("count", "")}
 BARS: Columns = {name: (name, "") for name in ("cell", "measure", "asked", "measured", "outcome")}
@@ -209,7 +203,7 @@ def scored_set(row: Mapping[str, Any]) -> Judged:
     if outside and row["place"] is not None:  # an effect of the library is at its joint, or at what it follows
         right, places = set(row["place"].split(" or ")), [{row["where"]}] if unknown and row["where"] else []
         for name, _, joint in (key.partition(":") for key in named):
-            followed = {place for place, names in FOLLOWING.items() if name in names}
+            followed = {place for place, names in TABLE["following"].items() if name in names}
             places.append(followed | ({f"joint:{joint}"} if joint else set()))
         judged["located"] = unknown and row["where"] in right
         judged["wrong place"] = any(not at & right for at in places)
