@@ -34,13 +34,11 @@ class Budget:
     """How long to search.
 
     starts : number of starts, at most;  deadline : value of `perf_counter` at which to stop
-    may_agree : stop before all starts are used when many independent ones came to the same best value
     tell : called whenever it is asked: a step of an arm with bodies takes seconds, and a start minutes
     """
 
     starts: int
     deadline: float = math.inf
-    may_agree: bool = True
     tell: Callable[[], object] = lambda: None
 
     def ended(self) -> bool:

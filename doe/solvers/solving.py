@@ -36,26 +36,6 @@ NEUTRAL = "under one payload, temperature, time and approach no posture distingu
 
 # -- solvers by name ---------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
-class Analytic:
-    """Random plans that attain the closed-form bound; none where the limits or the number of runs do not allow any."""
-
-    name: str = "analytic"
-
-    def starts_for(self, problem: DesignProblem) -> int:
-        """One: any such plan is optimal."""
-        return 1
-
-    def offers(self, problem: DesignProblem, runs: int, generator: Generator, budget: Budget) -> Iterator[Offer]:
-        """One plan per start. Raises `JobError` where there is none."""
-        plan = None
-        for plan in optimal_plans(problem, runs, generator):
-            yield Offer(plan, 1)
-        if plan is None:
-            none = "has no plan for this criterion, these limits and this number of runs"
-            raise JobError(f"solver: analytic {none}, allowed: leave --solver out")
-
-
-@dataclass(frozen=True)
 class Random:
     """Plans uniform within the joint limits, the best of `count`. One: common practice, to compare with."""
 
@@ -70,6 +50,22 @@ class Random:
         """One random plan per start."""
         while True:
             yield Offer(random_postures(problem, runs, generator), 1)
+
+
+@dataclass(frozen=True)
+class Analytic(Random):
+    """Random plans that attain the closed-form bound; none where the limits or the number of runs do not allow any."""
+
+    name: str = "analytic"
+
+    def offers(self, problem: DesignProblem, runs: int, generator: Generator, budget: Budget) -> Iterator[Offer]:
+        """One plan per start. Raises `JobError` where there is none."""
+        plan = None
+        for plan in optimal_plans(problem, runs, generator):
+            yield Offer(plan, 1)
+        if plan is None:
+            none = "has no plan for this criterion, these limits and this number of runs"
+            raise JobError(f"solver: analytic {none}, allowed: leave --solver out")
 
 
 SOLVERS: dict[str, Solver] = {
@@ -153,7 +149,7 @@ def solve(
             used = max(done, waited * whole.starts)
             progress(used, whole.starts, "the first plan" if first else f"best {best_value:.7g}")
 
-        whole = Budget(starts or chosen.starts_for(problem), deadline, starts is None, tell)
+        whole = Budget(starts or chosen.starts_for(problem), deadline, tell)
         # a bound for many parameters takes seconds, which are no part of the search's time; a theorem takes none;
         # half the time is for what comes first, the search or the bound
         first = replace(whole, deadline=0.5 * (perf_counter() + deadline))
@@ -175,7 +171,7 @@ def solve(
                     status = Status.bound_reached
                 elif done >= budget.starts:
                     status = Status.starts_finished
-                elif budget.may_agree and agreeing >= AGREEMENT:
+                elif starts is None and agreeing >= AGREEMENT:
                     status = Status.agreed
                 elif budget.ended():
                     status = Status.time_limit
