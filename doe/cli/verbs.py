@@ -207,7 +207,7 @@ def design_files(
     design = replace(design, plan=driven.plan)
     document = design.document()
     if discriminating:
-        chosen = chosen.driven(driven.plan)
+        chosen = replace(chosen, design=design)
         data, document = chosen.to_json(), chosen.document()
     data["expected_tip"], extra = tip_beside_random(design.problem, design.plan.postures, seed)
     extra += driven.lines

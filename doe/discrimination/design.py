@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import combinations
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
@@ -163,29 +164,21 @@ class Discrimination(Documented):
     """What a plan distinguishes, what it loses for that against the best one, and what it cannot see.
 
     design : judged by the criterion of the problem;  best : the best plan without regard to missing effects
-    sees, best_sees : pre-flight of both (`Detectability`), with the postures measured already; None where the library
-        has none, and of more than `MOST_SEEN` postures
-    wrong, best_wrong, random_wrong : the mean probability of a wrong name is at most this, with the plan, the best plan
-        and as many random postures (the median of many such plans), for effects that postures show and that are
-        `LAMBDA` long on random ones; see the head of this file
-    judged : plan -> `sees` and `wrong` of it
+    swaps : what judges both
+    random_wrong : the median of `Swaps.wrong` of many plans of as many random postures
     """
 
     design: Design
     best: Design
-    sees: Any
-    best_sees: Any
-    wrong: float
-    best_wrong: float
+    swaps: Swaps
     random_wrong: float
-    judged: Callable[[Plan], tuple[Any, float]]
 
-    def driven(self, plan: Plan) -> Discrimination:
-        """The same of its plan as it is driven: in another order, from other sides, with other postures in places."""
-        if plan is self.design.plan:
-            return self
-        sees, wrong = self.judged(plan)
-        return replace(self, design=replace(self.design, plan=plan), sees=sees, wrong=wrong)
+    judged = cached_property(lambda self: self.swaps.judged(self.design.plan))
+    best_judged = cached_property(lambda self: self.swaps.judged(self.best.plan))
+    sees = property(lambda self: self.judged[0])
+    wrong = property(lambda self: self.judged[1])
+    best_sees = property(lambda self: self.best_judged[0])
+    best_wrong = property(lambda self: self.best_judged[1])
 
     @property
     def relative_efficiency(self) -> float:
@@ -270,20 +263,11 @@ def discrimination_design(
     plan = replace(best.plan, postures=library.in_order(chosen, generator, budget))
     design = replace(best, plan=plan, solver="discriminating", status=status, seconds=perf_counter() - began)
 
-    def judged(plan: Plan) -> tuple[Any, float]:  # with the postures measured already
-        kept, sides = problem.kept, plan.conditions.get("directions")
-        if sides is not None:  # of those by their order
-            sides = np.vstack([np.sign(np.diff(kept, axis=0, prepend=kept[:1])), sides])
-        every = replace(plan, postures=np.vstack([kept, plan.postures]), conditions={"directions": sides})
-        sees = None if library.preflight is None or len(every) > MOST_SEEN else library.preflight(every)
-        return sees, min(1.0, state.wrong(plan.postures))
-
     # as many random postures, the median of many plans; effort: fewer plans of thousands of runs, which are much alike
     dice, many = np.random.default_rng(0), max(1, min(25, 100_000 // runs))
     cloud = pool_of(state.extended, many * runs, dice)
     at_random = float(np.median([state.wrong(dice.permutation(cloud)[:runs]) for _ in range(many)]))
-    (sees, wrong), (best_sees, best_wrong) = judged(plan), judged(best.plan)
-    return Discrimination(design, best, sees, best_sees, wrong, best_wrong, min(1.0, at_random), judged)
+    return Discrimination(design, best, state, min(1.0, at_random))
 
 
 # -- swaps -------------------------------------------------------------------------------------------------------------
@@ -304,7 +288,7 @@ class Swaps:
         # as tests see it: in space with a minimal set of parameters, which has no prior
         shown = set(library.shown_by_postures.parameters.names) if library.base == problem.parameters else ()
         deviations = {name: size for name, size in problem.deviations.items() if name in shown}
-        self.problem = problem
+        self.problem, self.library = problem, library
         self.extended = replace(problem, model=library.shown_by_postures, deviations=deviations)
         cloud = pool_of(problem, CLOUD, np.random.default_rng(0))
         reference = information_matrix(self.extended.scaled_jacobians(cloud)) / len(cloud)
@@ -313,6 +297,17 @@ class Swaps:
     def wrong(self, postures: Array) -> float:
         """Bound on the mean probability of a wrong name that a plan leaves, see `MisidentificationBound.wrong`."""
         return float(self.bound.wrong(self.extended.information(postures)))
+
+    def judged(self, plan: Plan) -> tuple[Any, float]:
+        """Pre-flight of a plan (`Detectability`), with the postures measured already, None where the library has none,
+        and of more than `MOST_SEEN` postures; and what the mean probability of a wrong name is at most, for effects
+        that postures show and that are `LAMBDA` long on random ones."""
+        kept, sides, preflight = self.problem.kept, plan.conditions.get("directions"), self.library.preflight
+        if sides is not None:  # of those by their order
+            sides = np.vstack([np.sign(np.diff(kept, axis=0, prepend=kept[:1])), sides])
+        every = replace(plan, postures=np.vstack([kept, plan.postures]), conditions={"directions": sides})
+        sees = None if preflight is None or len(every) > MOST_SEEN else preflight(every)
+        return sees, min(1.0, self.wrong(plan.postures))
 
     def pool(self, plan: Array, generator: Generator) -> Array:
         """(k, n) random postures, and neighbors of those of the plan."""
