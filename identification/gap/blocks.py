@@ -11,7 +11,7 @@ One CasADi function with the settings as arguments gives the slopes of one effec
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import product
@@ -136,6 +136,12 @@ class Library:
         models = self.base, model
         of_effects = ([p.name for e in each.effects[: len(self.base.effects)] for p in e.parameters] for each in models)
         return dict(zip(*of_effects, strict=True))
+
+    def without(self, labels: Collection[str]) -> Library:
+        """Without families that explain something with negative values alone."""
+        why = "its values would have to be negative (does [gravity] point the right way?)"
+        skipped = {**self.skipped, **dict.fromkeys(labels, why)}
+        return replace(self, members=tuple(b for b in self.members if b.label not in labels), skipped=skipped)
 
     def with_further_orders(self, at: Fitted, chosen: Sequence[Block]) -> Library:
         """The library with the ripple of further order that explains most at each joint, and its neighbors, if it is

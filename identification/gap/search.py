@@ -325,6 +325,13 @@ def posterior_of(
             noise, kept = (every[best].name, every[best].size), np.ones(len(few), dtype=bool)
             kept[[k for k in (problem.blocks[b].row for b, _ in rows_only) if k is not None]] = False
             at = fit(library.model(effects), every[best].rows.pick(kept), at.by_name)
+            if families := {b.label for b in effects if b.family}:
+                effects = [b for b in effects if not b.family]
+                without = fit(library.model(effects), at.rows, at.by_name)
+                gain = len(at.residual) * float(np.log(np.linalg.norm(without.residual) / np.linalg.norm(at.residual)))
+                if gain < 3.0:  # convention: e^3 = 20 times as likely; held at its bounds it explains nothing
+                    at, library = without, library.without(families)
+                    chosen = {label: size for label, size in chosen.items() if label not in families}
         wider = library.with_further_orders(at.on(every[best].rows), effects)
         if few is not rows and turn == PASSES - 1:
             few, at = rows, fit(at.model, rows, at.by_name)

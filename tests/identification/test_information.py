@@ -160,8 +160,7 @@ CASES: list[tuple[Callable[..., Any], Any]] = [
 
 @pytest.mark.parametrize(("make", "other"), CASES)
 def test_equal_by_value(make: Callable[..., Any], other: Any) -> None:
-    assert make() == make()
-    assert hash(make()) == hash(make())
+    assert (make(), hash(make())) == (make(), hash(make()))
     assert make() != make(other)
     assert len({make(), make(), make(other)}) == 2
     assert make() != "text"

@@ -167,8 +167,7 @@ def test_gravity_is_on_where_the_urdf_file_has_masses(folder: Folder, masses: bo
     assert ("taken to stand upright" in folder.read("cell/arm.toml")) is masses
     assert (gravity is not None) is masses
     if gravity is not None:
-        assert gravity.link_masses.tolist() == MASSES.tolist()
-        assert gravity.acceleration.tolist() == [0.0, 0.0, -9.81]
+        assert (gravity.link_masses.tolist(), gravity.acceleration.tolist()) == (MASSES.tolist(), [0.0, 0.0, -9.81])
 
 
 def test_meshes_of_bodies_are_copied(folder: Folder) -> None:

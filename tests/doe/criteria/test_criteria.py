@@ -147,8 +147,7 @@ def test_ranking_through_exchanges(phi: Criterion) -> None:
 
 def test_stand_ins_of_criteria_without_derivatives() -> None:
     """Searches climb Phi_32 instead of E; a smooth criterion stands for itself."""
-    assert E().smooth == PowerMean(32)
-    assert D().smooth == D()
+    assert (E().smooth, D().smooth) == (PowerMean(32), D())
 
 
 # -- one rank rule -----------------------------------------------------------------------------------------------------

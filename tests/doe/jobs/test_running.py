@@ -253,8 +253,7 @@ def test_a_table_is_one_file_that_is_refused_resumed_or_replaced(tmp_path: Path)
     assert more["value"].to_list() == pl.read_parquet(path)["value"].to_list() == work.drawn(KEYS[:3], seed=5)
     run_tasks(work.draw, KEYS[4:5], path, force=True, progress=lambda *_: asked.append(path.exists()))
     assert asked[1:] == [False, False]  # what is replaced does not come back when the new run is killed
-    assert pl.read_parquet(path)["task"].to_list() == [4, 4]
-    assert list(path.parent.iterdir()) == [path]
+    assert (pl.read_parquet(path)["task"].to_list(), list(path.parent.iterdir())) == ([4, 4], [path])
 
 
 def test_the_table_of_another_run_that_began_meanwhile_stays(tmp_path: Path) -> None:

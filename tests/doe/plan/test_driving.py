@@ -116,8 +116,7 @@ def test_runs_without_a_free_approach_are_named() -> None:
     problem = replace(problem, choices=postures)
     below, above = (drive(problem, Plan(postures), "given", approach) for approach in ("positive", "negative"))
     np.testing.assert_array_equal(below.plan.postures, postures)
-    assert below.data["moves"]["no_approach"] == [1]
-    assert below.moves.via.tolist() == [False, True, False, True, False]
+    assert (below.data["moves"]["no_approach"], below.moves.via.tolist()) == ([1], [False, True, False, True, False])
     assert "but not to run 1: no free way was found there from that side" in below.lines
     assert above.data["moves"]["no_approach"] == []
     assert all(inside(problem, each.moves.postures) for each in (below, above))

@@ -32,8 +32,7 @@ def test_with_a_sigma_the_prior_of_machining_counts() -> None:
 
 
 def test_a_user_may_design_for_a_minimal_set_or_without_a_prior() -> None:
-    assert six_axis().parameters == 39
-    assert DesignProblem.of(minimal(Model(SIX_AXIS))).parameters == 27
+    assert (six_axis().parameters, DesignProblem.of(minimal(Model(SIX_AXIS))).parameters) == (39, 27)
     assert six_axis(deviations={}).objective(POSTURES) < -100.0  # nearly singular, and not held
     assert not DesignProblem.of(Model(FOUR)).deviations
 

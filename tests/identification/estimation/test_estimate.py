@@ -154,8 +154,7 @@ def test_calibrated_arm_computes_what_was_fitted() -> None:
     assert set(calibration.effects) == {
         "encoder_eccentricity:2.a", "encoder_eccentricity:2.b", "base_offset.x0", "base_offset.y0",
     }  # fmt: skip
-    assert calibration.effects["encoder_eccentricity:2.a"] == 0.002
-    assert calibration.parameter_names == model.names
+    assert (calibration.effects["encoder_eccentricity:2.a"], calibration.parameter_names) == (0.002, model.names)
     again = estimate(Model(calibrated), measurements)
     assert again.rms_before == pytest.approx(found.rms_after)
     np.testing.assert_allclose(again.parameters, found.parameters, rtol=0, atol=1e-9)

@@ -142,8 +142,7 @@ def test_arm_of_a_urdf_file(tmp_path: Path) -> None:
     assert places == {"left": [60.0, 20.0, 50.0], "right": [-70.0, 0.0, 0.0]}
     assert (arm.machining, arm.gear_ratios[5]) == (Machining(1.0, np.radians(0.2)), 0.0)
     assert arm.gravity.acceleration.tolist() == [0.0, 0.0, -9.81]
-    assert arm.gravity.payload_at.tolist() == [10.0, -20.0, 80.0]
-    assert arm.effects[0].values == {"e": 0.0005}
+    assert (arm.gravity.payload_at.tolist(), arm.effects[0].values) == ([10.0, -20.0, 80.0], {"e": 0.0005})
     sight = (np.radians(25.0), (0.0, 200.0, 500.0), (500.0, 5000.0), (0.0, 0.0, 1.0), np.radians(30.0))
     assert arm.constraints == (
         WorkspaceBox((-400.0, 600.0), (0.0, 650.0), (100.0, 2000.0)),

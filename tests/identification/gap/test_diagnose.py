@@ -279,6 +279,12 @@ def test_an_estimate_at_its_bound_has_an_interval() -> None:
     assert estimate.high_95 == pytest.approx(stats.t(2 * 60 - 3).ppf(0.975) * std, rel=1e-3)
 
 
+def test_gravity_that_points_the_wrong_way_shows_no_compliance() -> None:
+    found = diagnose(replace(ARM, gravity=replace(ARM.gravity, acceleration=-UP)), measured("joint_compliance"))
+    assert (found.verdict, found.named.effects) == ("unknown", ())
+    assert any("would have to be negative (does [gravity] point" in note for note in found.notes)
+
+
 def test_what_the_rows_do_not_determine_has_no_interval() -> None:
     """Under a vertical axis gravity has no moment about it, whatever the joint's compliance is."""
     rng = np.random.default_rng(1)

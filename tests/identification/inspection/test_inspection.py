@@ -119,8 +119,7 @@ def test_the_drawing_leaves_the_same_in_check_identify_and_validate() -> None:
     of_drawing = pytest.approx(np.sqrt(2.0 * best.cost / len(q)), rel=1e-7)
     arm = Arm(chain_of([DHRow(*row) for row in ROWS]))
     fitted = estimate(Model(arm), rows)
-    assert inspect(arm, rows).data["rms_drawing_mm"] == of_drawing
-    assert fitted.rms_before == of_drawing
+    assert (inspect(arm, rows).data["rms_drawing_mm"], fitted.rms_before) == (of_drawing, of_drawing)
     assert validate(fitted.calibrated_arm(), rows).nominal.rms == of_drawing
 
 
