@@ -5,6 +5,7 @@ what repeats scatter by; where neither is known, neither is the accuracy.
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -76,18 +77,14 @@ def inspect(arm: Arm, measurements: Measurements) -> Inspection:
     misread = readings.better is not None and readings.better.other_units
     units, fit = data_warnings(measurements, arm) if misread else [], None
     if not units:
-        try:
+        with suppress(InputError):  # too few rows
             fit = with_repeats_doubted(estimate(Model(with_sessions(arm, measurements)), measurements), measurements)
-        except InputError:  # too few rows
-            fit = None
     # without a fit nothing says what small differences of the repeats' angles do
     own = measurements.originals == np.arange(len(measurements))  # copies of rows scatter by nothing
     floor = NoiseFloor() if fit is None else noise_floor(fit.residuals_after, measurements, own, None)
-    try:
+    (joints, ranges, notes), drawing = _ranges(arm, measurements.postures), readings.written.rms
+    with suppress(InputError):  # too few rows for least squares
         drawing = rms_distance(drawing_residuals(arm, measurements))
-    except InputError:  # too few rows for least squares
-        drawing = readings.written.rms
-    joints, ranges, notes = _ranges(arm, measurements.postures)
     problems = units or _problems(arm, measurements, readings, drawing, fit)
     problems += doubts.copied_rows(measurements) + ([] if units else doubts.outside_limits(arm, measurements))
     notes = [] if units else notes  # what the data cannot say

@@ -257,11 +257,6 @@ class KinematicChain(ByValue):
             moved[3:] *= 1.0 - np.abs(following.axis)
         return error_names(2)[int(np.argmax(np.roll(moved, 3))) - 3]  # of equal ones a turn
 
-    def closed_form(self, parameters: ParameterSet, others: bool) -> PlanarClosedForm | None:
-        """Least squares in closed form for lengths and offsets of a planar arm; None for others, and where one of a
-        length or an offset is not among the parameters;  others : the model has parameters or curves beside these"""
-        return None
-
     def along_base(self, shift: Mapping[str, float], values: Values, back: bool = False) -> dict[str, Any]:
         """A shift of the base along its own axes as one along those of the instrument, or `back`, by the names of its
         parameters; empty where there is none;  values : of parameters, where the base is turned by them"""
@@ -415,14 +410,6 @@ class PlanarChain(KinematicChain):
             for j, s in enumerate(scales, start=1)
         ]
         return ParameterSet([*errors, *offsets, *self.instrument.parameters])
-
-    def closed_form(self, parameters: ParameterSet, others: bool) -> PlanarClosedForm | None:
-        chain = [*parameters.indices(LENGTH_ERROR), *parameters.indices(JOINT_OFFSET)]
-        if not self.as_in_paper or len(chain) < 2 * len(self):
-            return None
-        base = [k for k, name in enumerate(parameters.names) if name in self.base_shift]
-        indices = np.array(chain + base if len(base) == 2 else chain)
-        return PlanarClosedForm(self.lengths, len(base) == 2, indices, not others and len(indices) == len(parameters))
 
     def _base_axes(self, values: Values) -> Any:
         return Frame.world().turned(2, values.get(f"{JOINT_OFFSET}:1", 0.0)).axes

@@ -11,8 +11,6 @@ most uses, and searches ask for hundreds of models, so models that have the same
 (`expressions`) keeps what any of them needed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -144,12 +142,18 @@ class Model:
     def closed_form(self) -> PlanarClosedForm | None:
         """Least squares in closed form for lengths and offsets, as if there were no other effects than a base offset;
         None in space, and where a length or an offset is known."""
-        others = bool(self.fixed) or any(effect.tabulated for effect in self.effects)
-        return self.arm.chain.closed_form(self.parameters, others)
+        chain, parameters = self.arm.chain, self.parameters
+        own = [*parameters.length_errors, *parameters.joint_offsets]
+        if not chain.as_in_paper or len(own) < 2 * len(chain):
+            return None
+        base = [k for k, name in enumerate(parameters.names) if name in chain.base_shift]
+        indices = np.array(own + base if len(base) == 2 else own)
+        alone = len(indices) == len(parameters) and not (self.fixed or any(effect.tabulated for effect in self.effects))
+        return PlanarClosedForm(chain.lengths, len(base) == 2, indices, alone)
 
     # -- symbols ---------------------------------------------------------------------------------------------------
     @cached_property
-    def expressions(self) -> Model:
+    def expressions(self) -> "Model":
         """The first model with all that is in these symbols: limits, sigma and the name of an arm, say, are not; of
         effects the class is, as users can redefine one, and what it was made with."""
         effects = ((type(e), e.joint, e.tagged, e.curve, *e.chosen.items()) for e in self.effects)
