@@ -16,8 +16,7 @@ with what the values are of:
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Self
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,10 +90,6 @@ class Spectrum:
     directions: Array
     rank: int
 
-    def truncated(self, tolerance: float) -> Self:
-        """The same decomposition with the rank at another tolerance (share of the largest singular value)."""
-        return replace(self, rank=int(np.count_nonzero(significant(self.values, tolerance))))
-
     # (p, p - rank) orthonormal basis of the combinations that the data leave undetermined
     null_space = property(lambda self: self.directions[:, self.rank :])
 
@@ -147,7 +142,7 @@ def spectrum(jacobian: Array, scales: Array, tolerance: float = RANK_TOLERANCE, 
         strengths = np.asarray(np.linalg.svd(prior / lengths, compute_uv=False), dtype=float)
         least = np.min(strengths, initial=np.inf, where=significant(strengths, rounding_share(p)))
         tolerance = float(np.clip(0.1 * least / values[0], rounding_share(p), tolerance))
-    return Spectrum(lengths, values, turned.T, p).truncated(tolerance)
+    return Spectrum(lengths, values, turned.T, int(np.count_nonzero(significant(values, tolerance))))
 
 
 def describe(direction: Array, names: Sequence[str]) -> str:

@@ -27,7 +27,7 @@ from identification.estimation.problem import (
 )
 from identification.estimation.result import Identification
 from identification.estimation.uncertainty import WhiteRows, outlying, together, uncertainty
-from identification.information import RANK_TOLERANCE, spectrum
+from identification.information import RANK_TOLERANCE, significant, spectrum
 from identification.inspection.readings import placed_with_zeros
 from identification.kinematics.counting import joint_range
 from identification.kinematics.parameters import JOINT_OFFSET
@@ -82,7 +82,7 @@ def estimate(
             deviation = problem.sigma or (float(np.sqrt(rows.squares / rows.freedom)) if rows.freedom > 0 else 0.0)
             uncertain = deviation / np.sqrt(len(measurements))
             useful = float(np.clip(uncertain / (0.1 * problem.model.reach), RANK_TOLERANCE, 0.1))
-            if rows.decomposed.truncated(useful).rank == rows.rank:
+            if np.count_nonzero(significant(rows.decomposed.values, useful)) == rows.rank:
                 break
             problem = replace(problem, tolerance=useful)
         return _identification(problem, measurements, solution, rows)
