@@ -31,6 +31,7 @@ LENGTH_RANGE = (1e-6, LARGEST)  # [mm] of a link
 SIGMA_RANGE = (1e-9, LARGEST)  # [mm]
 
 FEWEST = 4  # nodes of an error curve
+SESSIONS = "session_base"  # effect
 DIAGNOSED = "armcal diagnose"  # `source` of the calibrations that it writes
 FREEDOM = "interval_dof"  # key of a calibration's provenance
 
@@ -361,6 +362,13 @@ class Arm(ByValue):
     def with_effects(self, *effects: EffectSpec) -> Arm:
         """The same arm with these effects instead of its own."""
         return replace(self, effects=tuple(effects))
+
+    def with_base(self, anew: bool = False) -> Arm:
+        """The arm with the effects that say where it stands, its own where it has them;  anew : their values are to be
+        estimated"""
+        kept = [spec for spec in self.effects if not anew or spec.name not in self.chain.standing_effects]
+        missing = {*self.chain.standing_effects} - {spec.name for spec in kept}
+        return self.with_effects(*kept, *(EffectSpec(name) for name in self.chain.standing_effects if name in missing))
 
     def _repr_html_(self) -> str:
         """A line about the arm and a table of its joints, for notebooks."""

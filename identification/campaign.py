@@ -12,7 +12,7 @@ from identification.estimation.result import corrected_values, dh_lines
 from identification.files.arm import load_arm
 from identification.files.csv import read_table
 from identification.files.measurement import Plan, is_plan, load_measurements
-from identification.measurements import MOST, Measurements, share_fitted
+from identification.measurements import MOST, Measurements
 from identification.model import Model
 from identification.reuse import same_drawing
 from identification.validate import Validation, validate
@@ -57,7 +57,7 @@ def campaign_document(
     # what each calibrated arm leaves of each set of measurements, those first that no arm says it was fitted to
     calibrated = {name: arm for name, arm in arms.items() if arm.calibration is not None}
     seen = {
-        rows: [name for name, arm in calibrated.items() if share_fitted(arm.provenance, measured) >= MOST]
+        rows: [name for name, arm in calibrated.items() if measured.share_fitted(arm.provenance) >= MOST]
         for rows, measured in measurements.items()
     }
     tests = {

@@ -26,7 +26,6 @@ from identification.errors import InputError, require
 from identification.files.csv import csv_text
 from identification.files.measurement import angle_columns, posture_columns
 from identification.instruments import Tracker
-from identification.kinematics.chain import standing_in
 from identification.kinematics.counting import range_of, turned_into
 from identification.kinematics.parameters import REVOLUTE
 from identification.levenberg_marquardt import Index, levenberg_marquardt, newton_ascent
@@ -86,7 +85,7 @@ def compensate(
     else:
         # the nominal arm, without effects; where its base is not given it stands where the calibration has it, a planar
         # one turned by the offset of joint 1, and a spatial one with its points
-        chain = arm.chain if arm.calibration is None else standing_in(arm.chain, arm.calibration.values)
+        chain = arm.chain if arm.calibration is None else arm.chain.standing_in(arm.calibration.values)
         stands = tuple(spec for spec in arm.effects if spec.name in chain.standing_effects)
         place = Calibration({name: model.best_known.get(name, 0.0) for name in chain.standing}) if stands else None
         drawing = Model(replace(arm, effects=stands, calibration=place, chain=chain))

@@ -427,6 +427,23 @@ class Measurements(ByValue):
         }
         return kept if self.temperature is None else {**kept, "mean_temperature_C": self.reference_temperature}
 
+    def shared_rows(self, text: str) -> tuple[float, float]:
+        """Estimated from the digests of a calibration's rows: the share of these rows that are among those, and the
+        share of those that are among these."""
+        kept, digests = digests_in(text), row_digests(self.postures, self.positions)
+        if len(kept) >= KEPT:  # of these rows alone it can be told
+            digests = {digest for digest in digests if digest <= max(kept)}
+        shared = len(digests & kept)
+        return shared / max(len(digests), 1), shared / max(len(kept), 1)
+
+    def share_fitted(self, provenance: Mapping[str, Any]) -> float:
+        """Share of the rows that are among those that a calibration of this provenance, or what it holds, was fitted
+        to, in whatever file; of an earlier version, which does not say which these are, all of its file."""
+        if isinstance(text := provenance.get(ROW_DIGESTS), str):
+            return self.shared_rows(text)[0]
+        ours, theirs = ({*np.atleast_1d(one.get("sha256", [])).tolist()} for one in (provenance, self.provenance))
+        return float(not ours.isdisjoint(theirs))
+
     def rows(self, index: Any) -> Self:
         """Some of the rows (any numpy index), as a session of their own. Directions and the past stay what they were
         among all rows; session time and mean temperature are the subset's."""
@@ -492,25 +509,6 @@ ROW_DIGESTS = "digests_of_rows"  # key of a calibration's provenance
 KEPT = 2000  # digests: of 12,000 rows one in six, so that 30 of them are missed once in 240 times; 16 kB of text
 MOST = 0.5  # convention: share of rows from which they are the same; coarse readings of postures may agree by chance
 BYTES = 6  # of a digest: two of a million rows share one with a probability of 0.002 for each of a thousand others
-
-
-def shared_rows(text: str, measurements: Measurements) -> tuple[float, float]:
-    """Estimated from the digests of a calibration's rows: the share of the measurements that are among these, and the
-    share of these that are among the measurements."""
-    kept, digests = digests_in(text), row_digests(measurements.postures, measurements.positions)
-    if len(kept) >= KEPT:  # of these rows alone it can be told
-        digests = {digest for digest in digests if digest <= max(kept)}
-    shared = len(digests & kept)
-    return shared / max(len(digests), 1), shared / max(len(kept), 1)
-
-
-def share_fitted(provenance: Mapping[str, Any], measurements: Measurements) -> float:
-    """Share of the measurements among the rows that a calibration of this provenance, or what it holds, was fitted to,
-    in whatever file; of an earlier version, which does not say which these are, all of its file."""
-    if isinstance(text := provenance.get(ROW_DIGESTS), str):
-        return shared_rows(text, measurements)[0]
-    ours, theirs = ({*np.atleast_1d(one.get("sha256", [])).tolist()} for one in (provenance, measurements.provenance))
-    return float(not ours.isdisjoint(theirs))
 
 
 def row_digests(postures: Array, positions: Array) -> set[bytes]:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import block_diag
 
-from identification.arm import Arm, Calibration
+from identification.arm import SESSIONS, Arm, Calibration
 from identification.errors import InputError, nearest, require
 from identification.estimation import Identification, estimate
 from identification.estimation.doubts import FALL, OTHER_FRAME, worth_freeing
@@ -20,17 +20,9 @@ from identification.information import product_inverse, spectrum
 from identification.kinematics.chain import BASE, ROTATION_ERROR, TOOL, TRANSLATION_ERROR
 from identification.kinematics.counting import TURN, joint_range, range_of
 from identification.kinematics.parameters import EFFECT, JOINT_OFFSET, LENGTH_ERROR, REVOLUTE
-from identification.measurements import (
-    MOST,
-    ROW_DIGESTS,
-    Measurements,
-    digests_in,
-    digests_text,
-    share_fitted,
-    shared_rows,
-)
+from identification.measurements import MOST, ROW_DIGESTS, Measurements, digests_in, digests_text
 from identification.model import Model
-from identification.model.placed import SESSIONS, with_base, with_markers, without_prior_effects
+from identification.model.placed import with_markers, without_prior_effects
 
 # word -> kinds of parameters
 KINDS: Mapping[str, tuple[str, ...]] = {
@@ -53,7 +45,7 @@ def only(arm: Arm, words: Sequence[str], measurements: Measurements | None = Non
     held and that nothing says.
     """
     if "base" in words:
-        arm = with_base(arm)
+        arm = arm.with_base()
     if measurements is not None:
         arm = replace(arm, chain=with_markers(arm.chain, measurements))
     model = Model(arm)
@@ -150,7 +142,7 @@ def earlier(calibrated: Arm, model: Model, measurements: Measurements) -> Calibr
         warnings.warn(f"prior: {beside}", UserWarning, stacklevel=2)
     shared, of_its = 0.0, 0.0  # of these rows that are among its own, and of its own
     if isinstance(text := calibration.provenance.get(ROW_DIGESTS), str):
-        shared, of_its = shared_rows(text, measurements)
+        shared, of_its = measurements.shared_rows(text)
     else:
         why = "the calibration does not say which rows it comes from, as of an earlier version"
         warnings.warn(f"prior: {why}; measurements that are among them would count twice", UserWarning, stacklevel=2)
@@ -194,7 +186,7 @@ def with_base_doubt(held: Identification, arm: Arm, words: Sequence[str], measur
     too."""
     frozen = set(held.model.held or ())
     once = [e.key for e in held.model.effects if e.once and not frozen.isdisjoint(p.name for p in e.parameters)]
-    if once and share_fitted(arm.provenance, measurements) < MOST:
+    if once and measurements.share_fitted(arm.provenance) < MOST:
         again = f"{', '.join(once)}: held, and so taken to happen again from the first of these rows to the last"
         held = replace(held, doubts=(*held.doubts, f"{again}; estimate it, too: --only {','.join([*once, *words])}"))
     try:

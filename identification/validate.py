@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from identification.arm import Arm
+from identification.arm import SESSIONS, Arm
 from identification.arrays import Array, ReadOnly
 from identification.document import Document, Documented, in_a_sentence
 from identification.documents import identification as shown
@@ -22,21 +22,12 @@ from identification.estimation.doubts import lacking, left_out_residuals
 from identification.estimation.problem import Problem, check_shape
 from identification.estimation.uncertainty import LEVEL_95, gained_squares
 from identification.information import spectrum
-from identification.kinematics.chain import BASE, TOOL, standing_in
+from identification.kinematics.chain import BASE, TOOL
 from identification.kinematics.frames import pose_table
 from identification.kinematics.parameters import JOINT_OFFSET, error_names
-from identification.measurements import MOST, POINT, Conditions, Measurements, distances, rms_distance, share_fitted
+from identification.measurements import MOST, POINT, Conditions, Measurements, distances, rms_distance
 from identification.model import Model
-from identification.model.placed import (
-    SESSIONS,
-    one_unnamed,
-    placed_model,
-    start_at_base,
-    with_markers,
-    with_open_base,
-    with_sessions,
-    without_sessions,
-)
+from identification.model.placed import placed_model, start_at_base, with_markers, with_sessions, without_sessions
 
 if TYPE_CHECKING:  # a diagnosis imports this package
     from identification.gap.result import Diagnosis
@@ -139,7 +130,7 @@ class Validation(Documented, ReadOnly):
             elif fresh and not len(tools) == 1 == len(names):
                 its = "its position was" if len(fresh) == 1 else "their positions were"
                 yield f"the calibration has no reflector {', '.join(fresh)}: {its} fitted to these rows"
-        if (own := share_fitted(arm.provenance, measurements)) > 0.9:  # convention: a few others or left out rows
+        if (own := measurements.share_fitted(arm.provenance)) > 0.9:  # convention: a few others or left out rows
             yield shown.FITTED
         elif own > 0.0:
             yield f"about {100.0 * own:.0f} % of these rows are among those that the model was identified from"
@@ -208,7 +199,7 @@ def _refitted(arm: Arm, measurements: Measurements, refit: str) -> tuple[list[di
     """
     model, conditions, provenance = Model(arm), measurements.conditions, arm.provenance
     check_shape(model, measurements)
-    own = share_fitted(provenance, measurements) >= MOST
+    own = measurements.share_fitted(provenance) >= MOST
     if refit != "none" and not own and any(effect.once for effect in model.effects):
         conditions = conditions.afterwards(len(measurements))
     if measurements.temperature is not None and (mean := provenance.get("mean_temperature_C")) is not None:
@@ -218,7 +209,7 @@ def _refitted(arm: Arm, measurements: Measurements, refit: str) -> tuple[list[di
         model, values, residuals[rows], determined = placed(arm, measurements.rows(rows), conditions.rows(rows), refit)
         left_open += len(values) - determined
         # where base and measured points are, by the names of their parameters, in place of their corrections
-        stands, places = standing_in(model.arm.chain, model.parameters.mapping(values)), dict[str, float]()
+        stands, places = model.arm.chain.standing_in(model.parameters.mapping(values)), dict[str, float]()
         for place, frame in {BASE: stands.base, **{f"{TOOL}[{n}]": at for n, at in stands.tools.items()}}.items():
             places |= dict(zip(error_names(place), pose_table(frame).values(), strict=True))
         refitted += [
@@ -248,8 +239,8 @@ def placed(
             raise InputError(f"{error}; or --refit base, which finds where they are") from None
         model = Model(replace(arm, chain=with_markers(chain, named)))
     else:
-        chain = replace(one_unnamed(chain, named), settled=chain.drawn)
-        model = placed_model(Model(replace(with_open_base(arm), chain=chain)), named)
+        chain = replace(chain.one_unnamed(named.marker_names), settled=chain.drawn)
+        model = placed_model(Model(replace(arm.with_base(anew=True), chain=chain)), named)
         measured = [name for k, name in enumerate(model.arm.chain.tools) if k in named.numbers("marker")]
         moved = (f"{SESSIONS}.", *(f"{TOOL}[{name}]." for name in measured))
         free = {p.name for p in model.all_parameters if p.kind == BASE or p.name.startswith(moved)} | {*chain.standing}

@@ -317,6 +317,7 @@ def identify_files(
     out : Write a calibrated arm file (TOML).
     """
     from identification import estimation, reuse
+    from identification.arm import SESSIONS
     from identification.documents import identification as shown
     from identification.estimation.doubts import left_out_rms
     from identification.estimation.problem import Prior
@@ -326,7 +327,7 @@ def identify_files(
     from identification.gap.library_prior import library_prior
     from identification.measurements import rms_distance
     from identification.model import Model
-    from identification.model.placed import SESSIONS, with_sessions, without_prior_effects, without_sessions
+    from identification.model.placed import with_sessions, without_prior_effects, without_sessions
     from identification.simulate import with_servo_errors
     from identification.validate import drawing_residuals, prior_judged
 

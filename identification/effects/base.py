@@ -115,14 +115,6 @@ class Number(NamedTuple):
     upper: float = inf
 
 
-def at_joint(chain: KinematicChain, joint: int, unit: str) -> tuple[str, float]:
-    """Unit of what is added to the position of a joint (from 1), as of one that turns, and how many of it move the tip
-    as one does there: sliding ones have lengths for angles and forces for torques."""
-    slides = chain.joints[joint - 1].type == PRISMATIC and unit in SLIDING
-    return (SLIDING[unit], float(chain.levers[joint - 1])) if slides else (unit, 1.0)
-
-
-SLIDING = {"rad": "mm", "rad/(N m)": "mm/N"}
 LEVER, REACH = attrgetter("link_length"), attrgetter("reach")  # scales of numbers
 
 
@@ -203,7 +195,7 @@ class Effect:
     def parameter(self, short: str, unit: str, *, scale: float, typical: float | None = None, **more: Any) -> Parameter:
         """A parameter of this effect under its full name;  scale, typical, more : as of `Parameter`"""
         if self.joint is not None and hasattr(self, "joint_angles"):
-            unit, many = at_joint(self.chain, self.joint, unit)
+            unit, many = self.chain.unit_at(self.joint, unit)
             scale, typical = scale / many, typical and typical * many
         return Parameter(f"{self.key}.{short}", unit, scale=scale, typical=typical, joint=self.joint, **more)
 

@@ -15,18 +15,7 @@ import casadi as ca
 import numpy as np
 
 from identification.arrays import Array
-from identification.effects.base import (
-    LEVER,
-    REACH,
-    ArmState,
-    Effect,
-    Number,
-    Scope,
-    Setting,
-    add_effect,
-    at_joint,
-    clock,
-)
+from identification.effects.base import LEVER, REACH, ArmState, Effect, Number, Scope, Setting, add_effect, clock
 from identification.instruments import distance_to_center
 from identification.kinematics.frames import rotation_to_z
 
@@ -64,7 +53,7 @@ def _compliances(self: Effect) -> list[Number]:
     """Of its joint, or of all."""
     numbers = list[Number]()
     for j in [self.joint] if self.joint else range(1, len(self.chain) + 1):
-        unit, many = at_joint(self.chain, j, "rad/(N m)")
+        unit, many = self.chain.unit_at(j, "rad/(N m)")
         scale = float(self.chain.levers[j - 1]) * TORQUE / many
         numbers.append(Number(f"c{'' if self.joint else j}", unit, 1e-5 * many, scale, 0.0))
     return numbers
@@ -120,8 +109,8 @@ of_joint(
 
 def _coupling(self: Effect) -> list[Number]:
     """In the units of this joint and the one before."""
-    by, before = at_joint(self.chain, self.joint_index, "rad")
-    moved, many = at_joint(self.chain, self.joint_index + 1, "rad")
+    by, before = self.chain.unit_at(self.joint_index, "rad")
+    moved, many = self.chain.unit_at(self.joint_index + 1, "rad")
     return [Number("c", "1" if moved == by else f"{moved}/{by}", 1e-4 * many / before, LEVER)]
 
 

@@ -16,15 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from identification.arrays import Array
 from identification.errors import InputError, JobError
 from identification.estimation.doubts import doubts_of_fit, far_from_drawing, far_rows, only_rounding
-from identification.estimation.problem import (
-    NO_PRIOR,
-    Prior,
-    Problem,
-    check_measurements,
-    contradicted,
-    likeliest,
-    starts,
-)
+from identification.estimation.problem import NO_PRIOR, Prior, Problem, check_measurements, contradicted, likeliest
 from identification.estimation.result import Identification
 from identification.estimation.uncertainty import WhiteRows, outlying, together, uncertainty
 from identification.information import RANK_TOLERANCE, significant, spectrum
@@ -68,7 +60,7 @@ def estimate(
         problem, useful = Problem.of(placed_model(model, measurements), measurements, sigma), RANK_TOLERANCE
         while True:
             if (form := problem.exact_form) is None:
-                solution = problem.minimized(starts(problem))
+                solution = problem.minimized(problem.starts())
             else:
                 x, squares = form.solver(problem.postures, problem.weights, problem.tolerance)(problem.positions)
                 solution = Solution(x, squares, outcomes(np.isfinite(squares), Status.converged, Status.solver_failed))
@@ -103,7 +95,7 @@ def estimate(
         return residual[None], jacobian[None]
 
     # zeros that another reading of the rows has are where the search starts
-    x = np.where([n in zeros for n in model.names], model.parameters.vector(zeros, default=0.0), starts(problem)[0])
+    x = np.where([n in zeros for n in model.names], model.parameters.vector(zeros, default=0.0), problem.starts()[0])
     before, is_given = np.inf, problem.reliance == "given"
     for turn in range(10):  # the model is nearly linear: of the first round two steps are enough to see the noise
         noise, widths = likeliest(problem, x, *about(x.tobytes()))
@@ -231,7 +223,7 @@ def estimate_batch(model: Model, plan: Measurements | ArrayLike, positions: Arra
             continue
         # from the closed form, by the chord method with one matrix for all, then one about where that led the others;
         # what neither brings to an end, by Levenberg-Marquardt
-        rest, x[part] = np.arange(len(measured))[part], starts(problem.data_sets(part))
+        rest, x[part] = np.arange(len(measured))[part], problem.data_sets(part).starts()
         for _ in range(2):
             usable = x[rest][np.all(np.isfinite(x[rest]), axis=1)]
             center = np.mean(usable, axis=0) if len(usable) else problem.start

@@ -264,6 +264,19 @@ class Problem:
         residuals, jacobians = compressed(*(each[None] for each in self.rows_about(parameters)))
         return residuals[0], jacobians[0]
 
+    def starts(self) -> Array:
+        """(K, p) for searches: the closed form of the model without its effects, whose global minimiser it is, so that
+        any size of joint offset is harmless, or the best known values where those fit better."""
+        best_known = np.tile(self.start, (len(self.positions), 1))
+        if (form := self.model.closed_form) is None:
+            return best_known
+        solved = best_known.copy()
+        solved[:, form.indices] = form.solver(self.postures, self.weights, self.tolerance)(self.positions)[0]
+        if not np.any(self.start):
+            return solved  # nothing is known that the closed form does not know
+        before, after = (np.einsum("kmd,m->k", self.residuals(x) ** 2, self.weights) for x in (best_known, solved))
+        return np.where((before < after)[:, None], best_known, solved)
+
     def minimized(self, starts: Array, linearize: Linearize | None = None, iterations: int = ITERATIONS) -> Solution:
         """Stationary points within the bounds from starts (K, p);  linearize : rows of the data as this problem's own
         say them, in place of these"""
@@ -447,18 +460,3 @@ def released_drops(problem: Problem, x: Array) -> dict[str, float]:
     left = shifts - basis @ (basis.T @ shifts)
     drops = (left.T @ target) ** 2 / np.maximum(np.sum(left**2, axis=0), np.finfo(float).tiny) / problem.noise**2
     return {names[k]: drop for k, drop in zip(places, drops.tolist(), strict=True)}
-
-
-# -- where a search starts ---------------------------------------------------------------------------------------------
-def starts(problem: Problem) -> Array:
-    """(K, p) the closed form of the model without its effects, whose global minimiser it is, so that any size of joint
-    offset is harmless, or the best known values where those fit better."""
-    best_known = np.tile(problem.start, (len(problem.positions), 1))
-    if (form := problem.model.closed_form) is None:
-        return best_known
-    solved = best_known.copy()
-    solved[:, form.indices] = form.solver(problem.postures, problem.weights, problem.tolerance)(problem.positions)[0]
-    if not np.any(problem.start):
-        return solved  # nothing is known that the closed form does not know
-    before, after = (np.einsum("kmd,m->k", problem.residuals(x) ** 2, problem.weights) for x in (best_known, solved))
-    return np.where((before < after)[:, None], best_known, solved)

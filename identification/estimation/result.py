@@ -28,15 +28,7 @@ from identification.estimation.doubts import hardly_determined, tips_of
 from identification.estimation.problem import NO_PRIOR, Contradiction, Prior
 from identification.estimation.uncertainty import LEVEL, Uncertainty, freedom_kept, limits_95, quantile_95
 from identification.information import VISIBLE
-from identification.kinematics.chain import (
-    STANDARD,
-    CorrectedGeometry,
-    KinematicChain,
-    Link,
-    corrected,
-    corrected_links,
-    drawn_links,
-)
+from identification.kinematics.chain import STANDARD, CorrectedGeometry, KinematicChain, Link, drawn_links
 from identification.kinematics.frames import point_table, pose, pose_table
 from identification.kinematics.parameters import JOINT_OFFSET, JOINT_UNITS, LENGTH_ERROR, Parameter, by_joint
 from identification.measurements import POINT, distances, rms_distance
@@ -480,7 +472,7 @@ def dh_table(arm: Arm) -> tuple[tuple[CorrectedValue, ...], list[tuple[str, Arra
         }
 
     def table(at: Values) -> dict[tuple[int, str], float]:
-        return numbers(corrected_links(corrected(arm.chain, at), drawn)[0])
+        return numbers(arm.chain.corrected(at).corrected_links(drawn)[0])
 
     nominal, now = numbers(drawn), table(values)
     names, listed = calibration.parameter_names, list[CorrectedValue]()
@@ -491,8 +483,8 @@ def dh_table(arm: Arm) -> tuple[tuple[CorrectedValue, ...], list[tuple[str, Arra
         unit, meaning = DH_MEANING[name]
         about = f"row {row_number} {name}", None, nominal[j, name], value, slopes[j, name]
         listed.append(of.row(*about, unit, meaning.format(j=j, k=j + 1)))
-    real = corrected(arm.chain, values)
-    (_, first, last), (_, drawn_first, drawn_last) = (corrected_links(chain, drawn) for chain in (real, arm.chain))
+    real = arm.chain.corrected(values)
+    (_, first, last), (_, drawn_first, drawn_last) = (chain.corrected_links(drawn) for chain in (real, arm.chain))
     behind = np.linalg.inv(drawn_last) @ last
     measured = slice(None) if real.angle_scale is not None else (slice(3), 3)
     tools = [(f"tool {name}", (behind @ at)[measured]) for name, at in real.tools.items()]

@@ -315,7 +315,7 @@ def _calibration(
     # where its base was before the fit says which turn about the normal of a touched plane was not fitted
     every = {p.file_name: p for p in chain.every_parameter}
     moved = {every[key].name: value / every[key].to_file for key, value in given.items() if key in every}
-    drawn = chains.standing_in(chain if base is None else replace(chain, base=base), moved, back=True)
+    drawn = (chain if base is None else replace(chain, base=base)).standing_in(moved, back=True)
     chain = chain if base is None else replace(chain, base=drawn.base)
     chain = replace(chain, tools=drawn.tools) if tools else chain
     parameters = chain.parameters()

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from identification.arm import EffectSpec, ErrorCurve
+from identification.arm import SESSIONS, EffectSpec, ErrorCurve
 from identification.arrays import Array
 from identification.estimation.uncertainty import LEVEL_95 as LEVEL
 from identification.gap.blocks import WAVES, around, curve_waves, slope_by_angle
@@ -19,7 +19,6 @@ from identification.gap.likelihood import Index, Key, mixed
 from identification.gap.search import Posterior
 from identification.information import VISIBLE
 from identification.model import Model
-from identification.model.placed import SESSIONS
 
 FAITHFUL = 0.01  # numerical: of an error curve, by which its table may miss it in the root mean square
 

@@ -36,7 +36,7 @@ from identification.information import spectrum
 from identification.inspection.readings import gap_notes
 from identification.measurements import Measurements, rms_distance
 from identification.model import Model
-from identification.model.placed import with_base, with_sessions
+from identification.model.placed import with_sessions
 from identification.running import Progress, Status, single_thread
 
 
@@ -157,7 +157,7 @@ def diagnose(
     freedom = np.full(len(predicting.values), float(predicting.freedom))
     average = as_calibration(predicting, predicting.covariance, freedom, base.rows.postures)
     result = Diagnosis(
-        arm=arm if arm is one_session else with_base(one_session),
+        arm=arm if arm is one_session else one_session.with_base(),
         in_sessions=library.arm,
         measurements=measurements,
         residuals_before=readonly(before),

@@ -18,7 +18,7 @@ from identification.arm import Arm, Calibration, EffectSpec
 from identification.arrays import Array
 from identification.effects import Effect
 from identification.estimation.doubts import FAR
-from identification.estimation.problem import Problem, starts
+from identification.estimation.problem import Problem
 from identification.information import spectrum
 from identification.levenberg_marquardt import Index
 from identification.measurements import Conditions, Measurements, rms_distance
@@ -237,7 +237,7 @@ def fit(model: Model, rows: Rows, start: Mapping[str, float] | None = None) -> F
 
     values = None if start is None else model.parameters.vector(start)
     if values is None or left(values) > FAR * model.reach:  # with a base offset the closed form holds in any frame
-        closed = starts(problem)[0]
+        closed = problem.starts()[0]
         values = closed if values is None or left(closed) < left(values) else values
     solution = problem.minimized(values[None], linearize)
     return Fitted(model, solution.parameters[0], rows, free=~solution.active[0], status=solution.status[0])

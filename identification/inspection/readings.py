@@ -24,7 +24,7 @@ from identification.kinematics.frames import from_angles, to_angles
 from identification.kinematics.parameters import JOINT_OFFSET, PRISMATIC, REVOLUTE
 from identification.measurements import POINT, Measurements, rms_distance
 from identification.model import Model
-from identification.model.placed import one_unnamed, placed_model, spread_rows
+from identification.model.placed import placed_model, spread_rows
 
 UNITS = {10.0: "centimetres", 100.0: "decimetres", 1000.0: "metres", 25.4: "inches", 304.8: "feet"}  # to millimetres
 UNITS_OF_JOINTS = {  # what joints are multiplied by -> which, their unit, and how their columns end
@@ -421,7 +421,7 @@ def data_warnings(measurements: Measurements, arm: Arm) -> list[str]:
     if units or (turns := first.orientations) is None or _rows(arm, measurements)[2]:
         return units
     # as it is drawn; with one measured point where it has several and the rows name none
-    chain = one_unnamed(arm.chain, measurements)
+    chain = arm.chain.one_unnamed(measurements.marker_names)
     model, missed = Model(replace(arm, chain=chain, effects=(), calibration=None)), dict[str, float]()
     fixed_axes = np.swapaxes(from_angles(-to_angles(turns)), -1, -2)
     for name, read in {

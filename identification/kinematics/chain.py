@@ -32,13 +32,13 @@ What is before the first axis is the base, what is behind the last axis the tip:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from itertools import accumulate, product
 from operator import attrgetter
 from types import MappingProxyType
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, Self
 
 import casadi as ca
 import numpy as np
@@ -76,6 +76,8 @@ from identification.kinematics.parameters import (
 from identification.vectorized import vectorize
 
 DIMENSION = 3  # of space
+UNNAMED = "1"  # measured point, as an arm file has it that names none
+SLIDING = {"rad": "mm", "rad/(N m)": "mm/N"}  # units of joints that turn -> of those that slide
 TRANSLATION_ERROR, ROTATION_ERROR, BASE, TOOL = "translation_error", "rotation_error", "base", "tool"
 Values = Mapping[str, ca.SX | float]  # parameter name -> value [mm, rad]; what is not there is zero
 Numbers = Mapping[str, float]
@@ -122,7 +124,7 @@ class KinematicChain(ByValue):
     end: Array  # (4, 4) pose of the tip's frame in that of the last joint [mm]
     base: Array = field(default_factory=lambda: np.eye(4))  # (4, 4) pose of the base [mm]
     # name of each measured point -> (4, 4) pose of its frame in that of the tip [mm]; (3,) a place: turned as the tip
-    tools: Mapping[str, Array] = field(default_factory=lambda: {"1": np.eye(4)})
+    tools: Mapping[str, Array] = field(default_factory=lambda: {UNNAMED: np.eye(4)})
     settled: frozenset[str] = frozenset()  # those of `base` and `tool` that are given, and not to be found
     fixed: frozenset[str] = frozenset()  # names of parameters that are not estimated (model/placed.py)
     instrument: Instrument = TRACKER  # what is measured of a point
@@ -347,6 +349,67 @@ class KinematicChain(ByValue):
         after it moved, tip, and the first measured point or frame."""
         return _frames_at(self, tuple(values.items()))
 
+    # -- with its errors -----------------------------------------------------------------------------------------------
+    def corrected(self, values: Numbers) -> Self:
+        """The chain whose nominal geometry is this one's with its errors."""
+        joints = []
+        for j, joint in enumerate(self.joints, start=1):
+            zero = joint.motion(values.get(f"{JOINT_OFFSET}:{j}", 0.0))
+            joints.append(replace(joint, origin=joint.origin @ pose(*displacement(values, error_names(j))) @ zero))
+        return replace(self.standing_in(values), joints=tuple(joints))
+
+    def standing_in(self, values: Numbers, back: bool = False) -> Self:
+        """The chain with base and measured points or frames where their errors bring them, or `back` from there; its
+        joints as they are."""
+
+        def moved(frame: str, at: Array) -> Array:
+            shift, turn = displacement(values, error_names(frame))
+            return pose(at[:3, 3] + (-shift if back else shift), at[:3, :3] @ (turn.T if back else turn))
+
+        tools = {name: moved(f"tool[{name}]", at) for name, at in self.tools.items()}
+        return replace(self, base=moved(BASE, self.base), tools=tools)
+
+    def one_unnamed(self, names: Collection[str]) -> Self:
+        """The chain with one measured point, to be found, where it has several and rows name none of them."""
+        return self if names or len(self.tools) == 1 else replace(self, tools={UNNAMED: np.eye(4)})
+
+    def unit_at(self, joint: int, unit: str) -> tuple[str, float]:
+        """Unit of what is added to the position of a joint (from 1), as of one that turns, and how many of it move the
+        tip as one does there: sliding ones have lengths for angles and forces for torques."""
+        slides = self.joints[joint - 1].type == PRISMATIC and unit in SLIDING
+        return (SLIDING[unit], float(self.levers[joint - 1])) if slides else (unit, 1.0)
+
+    def corrected_links(self, drawn: Sequence[Link]) -> tuple[tuple[Link, ...], Array, Array]:
+        """The n - 1 links of n revolute joints about their z axes, their errors in them (`corrected`), nearest to those
+        drawn; the pose (4, 4) of the first axis's frame in that of the base, and of the tip's in that of the last axis.
+
+        By the common normal of two axes; where they are drawn parallel by where the second axis meets the plane of d as
+        drawn."""
+        *places, tip = np.array(list(accumulate([joint.origin for joint in self.joints] + [self.end], np.matmul)))
+        first = frame = places[0]
+        links = list[Link]()
+        for link, following in zip(drawn, places[1:], strict=True):
+            z, w, away, d = frame[:3, 2], following[:3, 2], following[:3, 3] - frame[:3, 3], link.d
+            parallel = link.beta is not None
+            away = away - d * z if parallel else away
+            away = away - w * float(away @ z) / float(w @ z) if parallel else away
+            normal = away if parallel else np.cross(z, w)
+            normal = normal / np.linalg.norm(normal)
+            normal = normal if normal @ (frame[:3, :3] @ rotation_about(Z, link.theta) @ X) >= 0.0 else -normal
+            x, y, _ = frame[:3, :3].T @ normal
+            theta, alpha = np.arctan2(y, x), float(np.arctan2(-np.cross(z, normal) @ w, z @ w))
+            beta = float(np.arcsin(np.clip(normal @ w, -1.0, 1.0))) if parallel else None
+            d = d if parallel else float(np.cross(away, w) @ normal / np.sin(alpha))
+            turns = (float(np.unwrap([drawn, angle])[1]) for drawn, angle in ((link.theta, theta), (link.alpha, alpha)))
+            between = Link(next(turns), d, float(away @ normal), next(turns), beta)
+            if not links:  # where the first frame stands on its axis is free: theta and d as drawn
+                frame = frame @ pose((0.0, 0.0, between.d - link.d), rotation_about(Z, between.theta - link.theta))
+                between, first = between._replace(theta=link.theta, d=link.d), frame
+            tilt = rotation_about(X, between.alpha) @ rotation_about(Y, between.beta or 0.0)
+            frame = frame @ pose(rotation=rotation_about(Z, between.theta)) @ pose((between.a, 0.0, between.d), tilt)
+            links.append(between)
+        return tuple(links), first, np.linalg.inv(frame) @ tip
+
 
 @lru_cache(maxsize=32)  # compiled once, used in every search
 def _frames_at(chain: KinematicChain, values: tuple[tuple[str, float], ...]) -> Callable[[Array], Array]:
@@ -513,27 +576,6 @@ class PlanarClosedForm:
 
 
 # -- a chain with its errors -------------------------------------------------------------------------------------------
-def corrected(chain: KinematicChain, values: Numbers) -> KinematicChain:
-    """The chain whose nominal geometry is this one's with its errors."""
-    joints = []
-    for j, joint in enumerate(chain.joints, start=1):
-        zero = joint.motion(values.get(f"{JOINT_OFFSET}:{j}", 0.0))
-        joints.append(replace(joint, origin=joint.origin @ pose(*displacement(values, error_names(j))) @ zero))
-    return replace(standing_in(chain, values), joints=tuple(joints))
-
-
-def standing_in(chain: KinematicChain, values: Numbers, back: bool = False) -> KinematicChain:
-    """The chain with base and measured points or frames where their errors bring them, or `back` from there; its joints
-    as they are."""
-
-    def moved(frame: str, at: Array) -> Array:
-        shift, turn = displacement(values, error_names(frame))
-        return pose(at[:3, 3] + (-shift if back else shift), at[:3, :3] @ (turn.T if back else turn))
-
-    tools = {name: moved(f"tool[{name}]", at) for name, at in chain.tools.items()}
-    return replace(chain, base=moved(BASE, chain.base), tools=tools)
-
-
 @dataclass(frozen=True)
 class CorrectedGeometry:
     """A chain, as nominal, with the errors that were found: parameter name -> value [mm, rad]."""
@@ -544,7 +586,7 @@ class CorrectedGeometry:
     @cached_property
     def real(self) -> KinematicChain:
         """The chain whose nominal geometry is the corrected one."""
-        return corrected(self.chain, self.values)
+        return self.chain.corrected(self.values)
 
     @property
     def places(self) -> dict[str, Any]:
@@ -606,35 +648,3 @@ def drawn_links(rows: Sequence[DHRow], convention: str = STANDARD) -> tuple[Link
     apart = all(link.beta is None or link.a for link in links)
     require(apart, "dh: found successive joints with one axis, allowed: different axes")
     return links
-
-
-def corrected_links(chain: KinematicChain, drawn: Sequence[Link]) -> tuple[tuple[Link, ...], Array, Array]:
-    """The n - 1 links of a chain of n revolute joints about their z axes (as `corrected`), nearest to those drawn; the
-    pose (4, 4) of the first axis's frame in that of the base, and of the tip's in that of the last axis.
-
-    By the common normal of two axes; where they are drawn parallel by where the second axis meets the plane of d as
-    drawn."""
-    *places, tip = np.array(list(accumulate([joint.origin for joint in chain.joints] + [chain.end], np.matmul)))
-    first = frame = places[0]
-    links = list[Link]()
-    for link, following in zip(drawn, places[1:], strict=True):
-        z, w, away, d = frame[:3, 2], following[:3, 2], following[:3, 3] - frame[:3, 3], link.d
-        parallel = link.beta is not None
-        away = away - d * z if parallel else away
-        away = away - w * float(away @ z) / float(w @ z) if parallel else away
-        normal = away if parallel else np.cross(z, w)
-        normal = normal / np.linalg.norm(normal)
-        normal = normal if normal @ (frame[:3, :3] @ rotation_about(Z, link.theta) @ X) >= 0.0 else -normal
-        x, y, _ = frame[:3, :3].T @ normal
-        theta, alpha = np.arctan2(y, x), float(np.arctan2(-np.cross(z, normal) @ w, z @ w))
-        beta = float(np.arcsin(np.clip(normal @ w, -1.0, 1.0))) if parallel else None
-        d = d if parallel else float(np.cross(away, w) @ normal / np.sin(alpha))
-        turns = (float(np.unwrap([drawn, angle])[1]) for drawn, angle in ((link.theta, theta), (link.alpha, alpha)))
-        between = Link(next(turns), d, float(away @ normal), next(turns), beta)
-        if not links:  # where the first frame stands on its axis is free: theta and d as drawn
-            frame = frame @ pose((0.0, 0.0, between.d - link.d), rotation_about(Z, between.theta - link.theta))
-            between, first = between._replace(theta=link.theta, d=link.d), frame
-        tilt = rotation_about(X, between.alpha) @ rotation_about(Y, between.beta or 0.0)
-        frame = frame @ pose(rotation=rotation_about(Z, between.theta)) @ pose((between.a, 0.0, between.d), tilt)
-        links.append(between)
-    return tuple(links), first, np.linalg.inv(frame) @ tip

@@ -16,21 +16,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from identification.arm import DIAGNOSED, Arm, Calibration, EffectSpec
+from identification.arm import DIAGNOSED, SESSIONS, Arm, Calibration, EffectSpec
 from identification.arrays import Array
 from identification.effects import library
 from identification.errors import InputError, require
 from identification.instruments import KINDS, TRACKER, Tracker, Unplaced
 from identification.instruments.base import AtTargets, registered
-from identification.kinematics.chain import (
-    BASE,
-    DIMENSION,
-    ROTATION_ERROR,
-    TOOL,
-    TRANSLATION_ERROR,
-    KinematicChain,
-    standing_in,
-)
+from identification.kinematics.chain import BASE, DIMENSION, ROTATION_ERROR, TOOL, TRANSLATION_ERROR, KinematicChain
 from identification.kinematics.frames import nearest_rotation, pose
 from identification.kinematics.parameters import JOINT_OFFSET, ParameterSet, error_names
 from identification.measurements import POINT, Conditions, Measurements
@@ -38,8 +30,6 @@ from identification.model import Model
 
 DISTINCT = 1e-6  # [mm] RMS change of a coordinate by an error of machining size, beside those kept; rounding is 1e-12
 PRACTICAL = 1e-2  # [mm] the same without what measurements hardly determine: below what trackers resolve
-SESSIONS = "session_base"  # effect
-UNNAMED = "1"  # measured point, as an arm file has it that names none
 FEWEST = 4  # positions, of which a rigid motion explains half the coordinates
 
 
@@ -61,7 +51,7 @@ def placed_model(model: Model, measurements: Measurements) -> Model:
     if (calibration := arm.calibration) is not None:
         values = _without(calibration.values, {BASE, TOOL} - settled)
         calibration = replace(calibration, values=values, base=None, tools={})
-    drawn, geometry = replace(standing_in(chain, values), settled=settled), _without(values)
+    drawn, geometry = replace(chain.standing_in(values), settled=settled), _without(values)
     standing = _standing_chain(drawn, spread_rows(measurements, measurements.session_rows[0]), geometry)
     if BASE not in settled:
         chain = replace(chain, base=standing.base)
@@ -117,7 +107,7 @@ def session_bases(arm: Arm, measurements: Measurements) -> tuple[KinematicChain,
     """The chain of an arm that stands where the first session finds it, with the points that only later sessions
     measure, and the pose (4, 4) of the base in each session."""
     every = {} if arm.calibration is None else arm.calibration.values
-    values, standing, bases = _without(every), standing_in(arm.chain, every), list[Array]()
+    values, standing, bases = _without(every), arm.chain.standing_in(every), list[Array]()
     parts = dict(zip(measurements.sessions, measurements.session_rows, strict=False))
     first = seen = np.full(len(standing.tools), TOOL in standing.settled)
     for name in measurements.session_names:
@@ -159,7 +149,7 @@ def with_sessions(arm: Arm, measurements: Measurements) -> Arm:
         return arm
     spec, calibration, base_values = {"sessions": float(count)}, arm.calibration, dict[str, float]()
     if chain.standing:
-        wide, model = with_base(arm), Model(with_open_base(arm))
+        wide, model = arm.with_base(), Model(arm.with_base(anew=True))
         at, conditions = np.tile(model.values, (count, 1)), replace(measurements.conditions, session=None)
         for name, rows in zip(measurements.sessions, measurements.session_rows, strict=True):
             nearest = start_at_base(model, measurements.rows(rows), conditions.rows(rows))
@@ -192,18 +182,6 @@ def without_sessions(calibration: Calibration) -> Calibration:
     dropped = (f"{SESSIONS}.", *(f"{word}[" for word in words))
     kept = calibration.about(name for name in calibration.parameter_names if not name.startswith(dropped))
     return replace(kept, values={name: x for name, x in kept.values.items() if not name.startswith(dropped)})
-
-
-def with_base(arm: Arm) -> Arm:
-    """The arm with the effects that say where it stands, its own where it has them."""
-    named = [spec.name for spec in arm.effects]
-    missing = (EffectSpec(name) for name in arm.chain.standing_effects if name not in named)
-    return arm.with_effects(*arm.effects, *missing)
-
-
-def with_open_base(arm: Arm) -> Arm:
-    """The arm with the effects that say where it stands, their values to be estimated."""
-    return with_base(arm.with_effects(*(s for s in arm.effects if s.name not in arm.chain.standing_effects)))
 
 
 def without_prior_effects(arm: Arm) -> Arm:
@@ -254,13 +232,6 @@ def with_markers(chain: KinematicChain, measurements: Measurements) -> Kinematic
         return replace(chain, tools={name: tools.get(name, np.eye(4)) for name in names})
     InputError.check_names("measurements.marker: unknown name", names, tools)
     return replace(chain, tools={name: tools[name] for name in dict.fromkeys((*names, *tools))})
-
-
-def one_unnamed(chain: KinematicChain, measurements: Measurements) -> KinematicChain:
-    """The chain with one measured point, where it has several and the data name none: one, to be found."""
-    if measurements.marker_names or len(chain.tools) == 1:
-        return chain
-    return replace(chain, tools={UNNAMED: np.eye(4)})
 
 
 # -- positions where something else is read ----------------------------------------------------------------------------

@@ -18,7 +18,6 @@ from doe.plan.moves import COLLISIONS
 from identification import Model, Plan, design_model, estimate, load_arm, load_measurements, rms_distance
 from identification.document import Answer
 from identification.files.urdf import read_urdf
-from identification.kinematics.chain import corrected
 from identification.kinematics.frames import from_roll_pitch_yaw, pose, rotation_about
 from tests.doe.cli.conftest import ARM as PLANAR
 from tests.doe.cli.conftest import Folder, table
@@ -88,7 +87,7 @@ def test_from_urdf_and_tracker_to_a_corrected_urdf(spatial: Folder) -> None:
     postures = np.random.default_rng(9).uniform(arm.lower, arm.upper, (50, 6))
     assert rms_distance(Model(arm).position(postures) - Model(truth).position(postures)) < 0.05
     # the URDF file is the calibrated chain, to 1e-9 mm, for pinocchio too, and nothing else of it has changed
-    real = replace(corrected(arm.chain, arm.calibration.values), base=np.eye(4))
+    real = replace(arm.chain.corrected(arm.calibration.values), base=np.eye(4))
     written = read_urdf(spatial.path / "corrected.urdf").chain("world", "tool0")
     for q in postures[:10]:
         np.testing.assert_allclose(*(places_by_exponentials(each, q, {})[-1] for each in (written, real)), atol=1e-9)

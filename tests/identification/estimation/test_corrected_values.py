@@ -21,7 +21,7 @@ from identification.estimation.problem import Prior
 from identification.estimation.result import CorrectedValue, corrected_values, dh_lines, dh_table
 from identification.files.arm import load_arm, with_effects
 from identification.instruments import Tracker
-from identification.kinematics.chain import corrected, corrected_links, drawn_links
+from identification.kinematics.chain import drawn_links
 from identification.kinematics.frames import pose
 from tests.identification.estimation.cases import LENGTHS, arm, data, plan
 from tests.identification.kinematics.test_spatial import UR10, row_of_table
@@ -200,7 +200,7 @@ def test_deviations_are_the_covariance_through_central_differences() -> None:
     for step in 0.1 * (axes * np.sqrt(np.maximum(squares, 0.0))).T:
         for values in (found.parameters + step, found.parameters - step):
             named = {**found.geometry.values, **dict(zip(found.names, values, strict=True))}
-            links = corrected_links(corrected(found.geometry.chain, named), drawn)[0]
+            links = found.geometry.chain.corrected(named).corrected_links(drawn)[0]
             moved.append([links[1].a, np.degrees(links[1].beta or 0.0), links[3].d, np.degrees(links[4].theta)])
     rows = {row.name: row for row in dh_table(found.calibrated_arm())[0]}
     stds = [rows[name].std for name in ("row 2 a", "row 2 beta", "row 4 d", "row 5 theta")]

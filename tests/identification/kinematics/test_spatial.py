@@ -24,8 +24,6 @@ from identification.kinematics.chain import (
     Joint,
     KinematicChain,
     chain_of,
-    corrected,
-    corrected_links,
     drawn_links,
     planar_chain,
 )
@@ -363,8 +361,8 @@ def test_the_table_puts_the_tip_where_the_chain_does(rows: list[DHRow], conventi
     chain, drawn = chain_of(rows, convention), drawn_links(rows, convention)
     kinds = [(f"{kind}_{axis}", size) for kind, size in (("translation", 1.0), ("rotation", 5e-3)) for axis in "xyz"]
     errors = {f"{kind}:{j}": size * generator.standard_normal() for kind, size in kinds for j in range(1, 7)}
-    real = corrected(chain, errors | {f"joint_offset:{j}": 0.01 * j for j in range(2, 6)})
-    links, first, last = corrected_links(real, drawn)
+    real = chain.corrected(errors | {f"joint_offset:{j}": 0.01 * j for j in range(2, 6)})
+    links, first, last = real.corrected_links(drawn)
     for q in generator.uniform(-3.0, 3.0, (5, 6)):
         at = first @ elementary("z", q[0])
         for link, angle in zip(links, q[1:], strict=True):
@@ -380,7 +378,7 @@ def test_the_table_puts_the_tip_where_the_chain_does(rows: list[DHRow], conventi
 def test_without_errors_it_is_the_table_as_drawn() -> None:
     for rows, convention in ((UR10, STANDARD), (CRAIG, MODIFIED)):
         drawn = drawn_links(rows, convention)
-        found = corrected_links(chain_of(rows, convention), drawn)[0]
+        found = chain_of(rows, convention).corrected_links(drawn)[0]
         for one, other in zip(found, drawn, strict=True):
             numbers = [[link.theta, link.d, link.a, link.alpha, link.beta or 0.0] for link in (one, other)]
             np.testing.assert_allclose(*numbers, rtol=0, atol=1e-9)
