@@ -14,7 +14,6 @@ from identification.files.csv import read_table
 from identification.files.measurement import Plan, is_plan, load_measurements
 from identification.measurements import MOST, Measurements
 from identification.model import Model
-from identification.reuse import same_drawing
 from identification.validate import Validation, validate
 
 ALLOWED = "arm files (.toml), plans and measurements (.csv)"
@@ -41,7 +40,7 @@ def campaign_document(
         require(name not in kinds, f"{name}: is given twice, allowed: each file once")
         if ending == ".toml":
             arms[name] = arm = load_arm(path, package_dirs)
-            if first is not None and not same_drawing(arms[first], arm):
+            if first is not None and not arms[first].chain.drawn_as(arm.chain):
                 raise InputError(f"{name}: another arm than that of {first}, allowed: files of one arm")
             kinds[name] = "arm" if arm.calibration is None else "arm with a calibration"
         elif ending not in (".csv", ".tsv", ".txt"):

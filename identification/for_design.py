@@ -151,7 +151,7 @@ class ArmModel(Model):
             anywhere = generator.uniform(lower, upper, (batch, len(chain)))
             targets = len(chain.instrument.targets)  # as many postures for each
             target = np.arange(batch, dtype=float) % targets if targets else None
-            q = led_to_contact(self, anywhere, 0.0, units, target)
+            q = led_to_contact(self, anywhere, np.zeros(1), units, target)
             q = q[np.all((q >= lower) & (q <= upper), axis=1) & (np.linalg.norm(self.position(q), axis=1) < TOUCHES)]
             q = q[self.clear_of_surface(q)]
             kept = np.concatenate([kept, q[feasible(q)]])[:CHOICES]

@@ -134,7 +134,7 @@ def earlier(calibrated: Arm, model: Model, measurements: Measurements) -> Calibr
     calibration = calibrated.calibration
     if calibration is None or calibration.covariance is None:
         raise InputError("prior: found no covariance, allowed: a file written by `armcal identify --out`")
-    if not same_drawing(calibrated, model.arm):
+    if not calibrated.chain.drawn_as(model.arm.chain):
         raise InputError("prior: a calibration of another drawing, allowed: of the same lengths and frames")
     of_its_model, of_this = ({e.label for e in m.effects} for m in (Model(without_prior_effects(calibrated)), model))
     if lacking := sorted(of_its_model - {*of_this, "base_offset"}):
@@ -169,14 +169,6 @@ def earlier(calibrated: Arm, model: Model, measurements: Measurements) -> Calibr
     moved = [of_both.values[name] for name in free] + gain @ off
     rest = covariance[np.ix_(~fixed, ~fixed)] - gain @ covariance[np.ix_(fixed, ~fixed)]
     return Calibration(dict(zip(free, moved.tolist(), strict=True)), tuple(free), rest)
-
-
-def same_drawing(calibrated: Arm, arm: Arm) -> bool:
-    """Whether the errors of two arms mean the same things: equal lengths, joints and frames."""
-    one, other = calibrated.chain, arm.chain
-    same = type(one) is type(other) and one.joint_types == other.joint_types and np.allclose(one.lengths, other.lengths)
-    pairs = zip(one.joints, other.joints, strict=True) if same else ()
-    return bool(same) and all(np.allclose(a.origin, b.origin) and np.allclose(a.axis, b.axis) for a, b in pairs)
 
 
 # -- another set-up ----------------------------------------------------------------------------------------------------

@@ -110,10 +110,8 @@ def estimate(
             break
     fit = _identification(posed, measurements, solution, WhiteRows.of(posed, measurements, x))
     contradiction = contradicted(posed, widened, x) if prior.earlier.parameter_names else None
-    factor, far = widths[0] if model.prior else None, far_from_drawing(model.arm, *widths[:2])
-    return replace(
-        fit, prior=posed.prior, machining_factor=factor, doubts=(*fit.doubts, *far), contradiction=contradiction
-    )
+    factor, doubts = widths[0] if model.prior else None, (*fit.doubts, *far_from_drawing(model.arm, *widths[:2]))
+    return replace(fit, prior=posed.prior, machining_factor=factor, doubts=doubts, contradiction=contradiction)
 
 
 def without_outliers(

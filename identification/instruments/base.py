@@ -22,7 +22,6 @@ from typing import Any, ClassVar, NamedTuple, Self
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from identification.arrays import Array
 from identification.errors import InputError
@@ -31,7 +30,6 @@ from identification.kinematics.parameters import AXES, Parameter, error_names
 from identification.levenberg_marquardt import Index, levenberg_marquardt
 from identification.vectorized import Evaluate, vectorize
 
-PLACE = "base"  # kind of a parameter that says where something stands, as that of the base
 OWN = "identification.instruments"
 
 
@@ -110,6 +108,7 @@ class Instrument:
     # of the base, other ones in each session, and rows name them as they name measured points (`Measurements.marker`);
     # empty: they count as sessions, each of which has a base
     own_targets: ClassVar[str] = ""
+    meaning: ClassVar[str] = ""  # of its `own_targets`, in the table of corrected values
     offers: ClassVar[frozenset[str]] = frozenset()  # what effects may need of it (`Effect.needs`)
     reads_positions: ClassVar[bool] = False  # a reading is the measured point's position, or with its orientation pose
     angle_scale: ClassVar[float | None] = None  # [mm/rad] a radian of a measured orientation counts as; None: of none
@@ -265,7 +264,7 @@ class AtTargets(Instrument):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         return tuple(
-            Parameter(f"{self.own_targets}[{name}].{axis}", "mm", kind=PLACE, start=start)
+            Parameter(f"{self.own_targets}[{name}].{axis}", "mm", kind="base", start=start)
             for name, place in self.at
             for axis, start in zip(self.axes, place, strict=True)
         )
@@ -273,6 +272,11 @@ class AtTargets(Instrument):
     @property
     def targets(self) -> dict[str, Array]:
         return {name: np.array(place) for name, place in self.at}
+
+    def own_values(self, values: Mapping[str, float]) -> Iterator[OwnValue]:
+        for value in super().own_values(values):
+            target = value.name.removeprefix(f"{self.own_targets}[").replace("]", "").replace(".", " ")
+            yield value._replace(name=f"{self.own_targets} {target}", convention=self.meaning)
 
     def of_row(self, each: Sequence[ca.SX], target: ca.SX, otherwise: ca.SX) -> ca.SX:
         """What belongs to the target of these numbers, of one for each target."""
@@ -283,9 +287,7 @@ class AtTargets(Instrument):
     def without_targets(self) -> Self:
         return replace(self, at=(), numbers=())
 
-    def with_targets(
-        self, points: Array, readings: Array, numbers: NDArray[np.int64], names: Sequence[Sequence[str]]
-    ) -> Self:
+    def with_targets(self, points: Array, readings: Array, numbers: Index, names: Sequence[Sequence[str]]) -> Self:
         """With `own_targets` where rows find them
 
         points, readings : (m, d) measured points in its frame, as best known, and (m, d) what was read

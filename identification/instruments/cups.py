@@ -12,7 +12,7 @@ import numpy as np
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.information import VISIBLE
-from identification.instruments.base import PLACE, AtTargets, OwnValue, Placement, Unplaced, register_instrument
+from identification.instruments.base import AtTargets, OwnValue, Placement, Unplaced, register_instrument
 from identification.kinematics.parameters import AXES, Parameter, error_names
 
 TOUCHES = 1e-6  # [mm] by which these are kept
@@ -87,7 +87,7 @@ class Socket(AtTargets):
         return ("", "") if pairs else ("cups without a distance that is known", "give distances_mm between them")
 
     def hidden(self, base: Array) -> frozenset[str]:
-        return frozenset(error_names(PLACE))
+        return frozenset(error_names("base"))
 
     # -- where a fit starts --------------------------------------------------------------------------------------------
     def place(self, rows: Unplaced) -> Placement:

@@ -3,7 +3,7 @@
 Beside a planar arm the center stands in the frame of the base.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
@@ -12,16 +12,7 @@ import numpy as np
 
 from identification.arrays import Array
 from identification.information import RANK_TOLERANCE
-from identification.instruments.base import (
-    PLACE,
-    AtTargets,
-    Coordinate,
-    Instrument,
-    OwnValue,
-    Placement,
-    Unplaced,
-    register_instrument,
-)
+from identification.instruments.base import AtTargets, Coordinate, Instrument, Placement, Unplaced, register_instrument
 from identification.kinematics.frames import pose
 from identification.kinematics.parameters import JOINT_OFFSET, error_names
 
@@ -50,7 +41,7 @@ class Distance(Instrument):
         return distance_to_center(point) - self.radius
 
     def hidden(self, base: Array) -> frozenset[str]:
-        return frozenset(error_names(PLACE)[3:])
+        return frozenset(error_names("base")[3:])
 
     def place(self, rows: Unplaced) -> Placement:
         """From algebraic fits of lengths d, |a|^2 - d^2 = 2 a . c - (|c|^2), about the mean of the points; of points in
@@ -83,15 +74,11 @@ class PlanarDistance(AtTargets):
     keys = frozenset({"center_mm"})
     coordinates = Distance.coordinates
     own_targets = "center"
+    meaning = "of the distances, in the frame of the base"
 
     def reading(self, point: ca.SX, values: ca.SX, target: ca.SX) -> ca.SX:
         centers = [values[2 * k : 2 * k + 2] for k in range(len(self.at))] or [ca.SX.zeros(2)]
         return distance_to_center(point - self.of_row(centers[: len(self.at)], target, centers[0]))
-
-    def own_values(self, values: Mapping[str, float]) -> Iterator[OwnValue]:
-        for value in super().own_values(values):
-            name = f"center {value.name.removeprefix('center[').replace(']', '').replace('.', ' ')}"
-            yield value._replace(name=name, convention="of the distances, in the frame of the base")
 
     def hidden(self, base: Array) -> frozenset[str]:
         return frozenset({f"{JOINT_OFFSET}:1"})

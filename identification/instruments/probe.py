@@ -10,7 +10,7 @@ import numpy as np
 
 from identification.arrays import Array
 from identification.errors import require
-from identification.instruments.base import PLACE, Instrument, Placement, Unplaced, register_instrument
+from identification.instruments.base import Instrument, Placement, Unplaced, register_instrument
 from identification.instruments.distance import Distance
 from identification.kinematics.frames import from_angles, pose, rotation_about
 from identification.kinematics.parameters import AXES, error_names
@@ -54,7 +54,7 @@ class Plane(Instrument):
 
     def hidden(self, base: Array) -> frozenset[str]:
         """The turn about that axis of the base that is nearest to the normal stands for the turn about the normal."""
-        return frozenset({"base.x", "base.y", error_names(PLACE)[3 + int(np.argmax(np.abs(base[2, :3])))]})
+        return frozenset({"base.x", "base.y", error_names("base")[3 + int(np.argmax(np.abs(base[2, :3])))]})
 
     def between(self, first: Array, base: Array) -> tuple[dict[str, float], frozenset[str]]:
         """A plane does not show how the base is turned about the normal: of such turns that is taken which lets two of

@@ -369,6 +369,14 @@ class KinematicChain(ByValue):
         tools = {name: moved(f"tool[{name}]", at) for name, at in self.tools.items()}
         return replace(self, base=moved(BASE, self.base), tools=tools)
 
+    def drawn_as(self, other: KinematicChain) -> bool:
+        """Whether its errors mean the same as those of another: equal lengths, joints and frames."""
+        alike = type(self) is type(other) and self.joint_types == other.joint_types
+        if not alike or not np.allclose(self.lengths, other.lengths):
+            return False
+        pairs = zip(self.joints, other.joints, strict=True)
+        return all(np.allclose(one.origin, two.origin) and np.allclose(one.axis, two.axis) for one, two in pairs)
+
     def one_unnamed(self, names: Collection[str]) -> Self:
         """The chain with one measured point, to be found, where it has several and rows name none of them."""
         return self if names or len(self.tools) == 1 else replace(self, tools={UNNAMED: np.eye(4)})

@@ -293,9 +293,7 @@ class Model:
         at_joints = slices(widths(self.arm.chain))["joint_angles"]
         return self.place_levers(postures, parameters, conditions)[0][..., at_joints]
 
-    def place_levers(
-        self, postures: ArrayLike, parameters: Given = None, conditions: When = None
-    ) -> tuple[Array, Array]:
+    def place_levers(self, postures: ArrayLike, parameters: Given, conditions: When) -> tuple[Array, Array]:
         """What effects act through: (m, d, P) derivative of the positions by what is added at each place of the chain,
         and (m, S) the state that it may depend on (effects/base.py)."""
         levers, state = self.expressions._place_levers(*self._arguments(postures, parameters, conditions))

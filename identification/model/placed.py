@@ -292,9 +292,7 @@ def in_own_frame(arm: Arm) -> Arm:
     return replace(shown, chain=chain, calibration=calibration)
 
 
-def led_to_contact(
-    model: Model, postures: Array, goals: Array | float, units: Array, target: Array | None = None
-) -> Array:
+def led_to_contact(model: Model, postures: Array, goals: Array, units: Array, target: Array | None = None) -> Array:
     """Postures (m, n) led by the shortest steps of Newton's method to where the instrument reads the goals (m, d), most
     of them; limits apart;  units : (n,) what counts as a radian of each joint [rad, mm];  target : (m,) number of what
     each touches, of several that have one; None: the nearest"""
