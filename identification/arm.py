@@ -31,7 +31,8 @@ LENGTH_RANGE = (1e-6, LARGEST)  # [mm] of a link
 SIGMA_RANGE = (1e-9, LARGEST)  # [mm]
 
 FEWEST = 4  # nodes of an error curve
-SESSIONS = "session_base"  # effect
+SESSIONS, SERVO = "session_base", "servo_error"  # effects
+OVERSHOOT = np.radians(0.01)  # what an angle that was read back differs from the one commanded
 DIAGNOSED = "armcal diagnose"  # `source` of the calibrations that it writes
 FREEDOM = "interval_dof"  # key of a calibration's provenance
 
@@ -348,6 +349,29 @@ class Arm(ByValue):
         q = turned_into(postures, lower, upper, self.joint_types, read)
         room = read * np.maximum(1.0, np.abs(limits))  # a file has nine digits: of a slide's millimetres fewer decimals
         return (q < lower - room[0]) | (q > upper + room[1])
+
+    @property
+    def limited(self) -> NDArray[np.bool_]:
+        """(n,) joints whose limits are given."""
+        return np.asarray((np.abs(self.lower + np.pi) > OVERSHOOT) | (np.abs(self.upper - np.pi) > OVERSHOOT))
+
+    def beyond_limits(self, postures: Array) -> NDArray[np.bool_]:
+        """(m, n) True where a joint lies outside its limits, one that is counted together with others outside those of
+        the controller; limits left out do not count."""
+        beyond = self.limited & ((postures < self.lower - OVERSHOOT) | (postures > self.upper + OVERSHOOT))
+        for tied in (each for each in self.constraints if isinstance(each, ColumnLimits)):
+            column = postures @ np.array(tied.coefficients)
+            beyond[:, tied.joint - 1] = (column < tied.lower - OVERSHOOT) | (column > tied.upper + OVERSHOOT)
+        return beyond
+
+    def servo_shift(self, directions: Array) -> Array:
+        """(k, n) what is read beyond a command [rad, mm], for directions of approach (k, n)."""
+        shift = np.zeros(directions.shape)
+        for spec in self.effects:
+            if spec.name == SERVO and spec.joint is not None:
+                sign = directions[:, spec.joint - 1]
+                shift[:, spec.joint - 1] = spec.values.get("b", 0.0) + spec.values.get("h", 0.0) * sign
+        return shift
 
     @property
     def payload(self) -> float:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import chdtri
 
-from identification.arm import Arm, Calibration
+from identification.arm import SERVO, Arm, Calibration
 from identification.arrays import Array, ReadOnly, rows_in_words
 from identification.document import Document, Documented, Sheet, number
 from identification.documents.identification import extrapolated
@@ -32,7 +32,6 @@ from identification.levenberg_marquardt import Index, levenberg_marquardt, newto
 from identification.measurements import POINT, REMEMBERED, Conditions, directions_from_order, distances, past_from_order
 from identification.model import Model
 from identification.model.placed import in_own_frame
-from identification.simulate import SERVO, servo_shift
 
 TOLERANCE = 1e-6  # [mm] a target is reached if the model comes this close; so near may a constraint be missed
 QUICK = 20  # steps from a start: 99 of 100 that reach a target have reached it, the others creep along limits
@@ -131,7 +130,7 @@ def compensate(
         from_afar = commands[driven][:1] - (arm.upper - arm.lower)  # what the first is come from, rising
         past[driven] = past_from_order(np.concatenate([from_afar, commands[driven]]))[1:]
         where = replace(where, directions=directions, past=past)
-        rising, falling = (commands + servo_shift(arm, side * np.ones_like(commands)) for side in (1.0, -1.0))
+        rising, falling = (commands + arm.servo_shift(side * np.ones_like(commands)) for side in (1.0, -1.0))
         apart = model.position(rising, conditions=where) - model.position(falling, conditions=where)
         sided += (SERVO,) if distances(apart).max() > 0.1 * likely else ()  # convention: what counts beside the rest
     if sided:
@@ -147,7 +146,7 @@ def compensate(
             missed[k].append(f"constraint {order} ({name}) is missed by {-margins[k, worst]:.4g} mm")
     barred = tuple("; ".join(clauses) for clauses in missed)
     if where.directions is not None:
-        commands = commands - servo_shift(arm, where.directions)
+        commands = commands - arm.servo_shift(where.directions)
     errors, notes = distances(left), tuple(assumed)
     return Compensation(arm, points, commands, errors, barred, turned, angles, sided, tolerance, notes)
 

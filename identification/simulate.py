@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from identification.arm import Arm, EffectSpec
+from identification.arm import SERVO, Arm, EffectSpec
 from identification.arrays import Array, rows_in_words
 from identification.effects import build_all
 from identification.effects.formulas import Scene
@@ -16,8 +16,6 @@ from identification.kinematics.parameters import REVOLUTE
 from identification.measurements import Measurements, directions_from_order
 from identification.model import Model
 from identification.model.placed import led_to_contact, of_positions
-
-SERVO = "servo_error"
 
 
 def simulate(
@@ -60,7 +58,7 @@ def simulate(
         raise InputError(f"temperature_C: {needed}, allowed: a plan with it")
     approach = directions_from_order(q) if directions is None else directions
     session = Measurements(q, np.zeros((len(q), model.dimension)), order, payload, temperature, approach)
-    if (shift := servo_shift(truth, approach)).any():  # the joints come to rest, and are read, beside their commands
+    if (shift := truth.servo_shift(approach)).any():  # the joints come to rest, and are read, beside their commands
         session = replace(session, postures=q + shift, commanded=q)
     if len(truth.chain.tools) > 1:
         points, rows = tuple(truth.chain.tools), len(session)
@@ -118,13 +116,3 @@ def with_servo_errors(arm: Arm, measurements: Measurements) -> tuple[Arm, list[d
         entries.append({"joint": j, "unit": unit, **{name: value * factor for name, value in figures.items()}})
         specs += [EffectSpec(SERVO, j, {"b": offset, "h": reversal})] if largest > 0.0 else []
     return arm.with_effects(*specs), entries
-
-
-def servo_shift(arm: Arm, directions: Array) -> Array:
-    """(k, n) what is read beyond a command [rad, mm], for directions of approach (k, n)."""
-    shift = np.zeros(directions.shape)
-    for spec in arm.effects:
-        if spec.name == SERVO and spec.joint is not None:
-            sign = directions[:, spec.joint - 1]
-            shift[:, spec.joint - 1] = spec.values.get("b", 0.0) + spec.values.get("h", 0.0) * sign
-    return shift

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtrc
 
-from identification.arm import Arm
+from identification.arm import OVERSHOOT, Arm
 from identification.arrays import Array, rows_in_words
 from identification.documents.identification import reading_unit
 from identification.estimation.problem import Problem
@@ -23,7 +23,6 @@ from identification.measurements import POINT, Measurements, distances, rms_dist
 from identification.model import Model
 from identification.model.placed import FEWEST, placing, tip_jacobian
 from identification.running import single_thread
-from identification.workspace import ColumnLimits
 
 if TYPE_CHECKING:
     from identification.estimation.result import Identification
@@ -33,7 +32,6 @@ FAR_ZERO = np.radians(5.0)  # an offset that is no machining error
 FAR = 0.05  # of the reach, or a radian: residuals of another arm, frame or unit
 FALL = 2.0  # of the RMS, when the position of the base is added: the data are in another frame
 OTHER_FRAME = "the data are in another frame than the arm"
-OVERSHOOT = np.radians(0.01)  # what an angle that was read back differs from the one commanded
 # derived: degrees of freedom below which nothing is tested, and no standard deviation reported, since it would be
 # uncertain by more than 35 %. At the level 0.005 an effect of one parameter needs lambda = 11 with 4, 22 with 3
 SPARE = 4
@@ -203,26 +201,11 @@ def worth_freeing(held: float, free: float, freed: int, spare: float, factor: fl
     return bool(fdtrc(freed, spare, (held - free) / freed / max(free / spare, np.finfo(float).tiny)) <= LEVEL)
 
 
-def limited(arm: Arm) -> NDArray[np.bool_]:
-    """(n,) joints whose limits are given."""
-    return np.asarray((np.abs(arm.lower + np.pi) > OVERSHOOT) | (np.abs(arm.upper - np.pi) > OVERSHOOT))
-
-
-def beyond_limits(arm: Arm, postures: Array) -> NDArray[np.bool_]:
-    """(m, n) True where a joint lies outside its limits, one that is counted together with others outside those of the
-    controller; limits left out do not count."""
-    beyond = limited(arm) & ((postures < arm.lower - OVERSHOOT) | (postures > arm.upper + OVERSHOOT))
-    for tied in (each for each in arm.constraints if isinstance(each, ColumnLimits)):
-        column = postures @ np.array(tied.coefficients)
-        beyond[:, tied.joint - 1] = (column < tied.lower - OVERSHOOT) | (column > tied.upper + OVERSHOOT)
-    return beyond
-
-
 def outside_limits(arm: Arm, measurements: Measurements) -> list[str]:
     """How many postures lie outside the joint limits, the first of them, and joints that are within their limits if
     whole turns are taken off."""
     q = measurements.postures
-    outside = beyond_limits(arm, q)
+    outside = arm.beyond_limits(q)
     if not outside.any():
         return []
     row = int(np.argmax(outside.any(axis=1)))
@@ -232,7 +215,7 @@ def outside_limits(arm: Arm, measurements: Measurements) -> list[str]:
     first = f"row {row + 1}: joint {joint + 1} at {place:.5g} {unit[1:]}, allowed {low:g} to {high:g}"
     count = int(outside.any(axis=1).sum())
     sentence = f"{count} of {len(q)} postures lie outside the joint limits, the first in {first}"
-    within = ~beyond_limits(arm, turned_into(q, arm.lower, arm.upper, arm.joint_types, OVERSHOOT))
+    within = ~arm.beyond_limits(turned_into(q, arm.lower, arm.upper, arm.joint_types, OVERSHOOT))
     joints = np.flatnonzero(np.any(outside & within, axis=0)) + 1
     if not joints.size:
         return [sentence]

@@ -186,7 +186,7 @@ def _problems(
 
 def _ranges(arm: Arm, postures: Array) -> tuple[list[dict[str, Any]], list[list[str]], list[str]]:
     """Of each joint its entry of `joints` (as the controller counts) and its row; a note of those that hardly move."""
-    beyond, entries, rows, still = doubts.beyond_limits(arm, postures), [], [], list[int]()
+    beyond, entries, rows, still = arm.beyond_limits(postures), [], [], list[int]()
     tied = {each.joint for each in arm.constraints if isinstance(each, ColumnLimits)}
     columns, limits = arm.counting.columns(postures), np.stack(arm.column_limits)
     for j, (kind, column, outside) in enumerate(zip(arm.joint_types, columns.T, beyond.T, strict=True), start=1):
@@ -196,7 +196,7 @@ def _ranges(arm: Arm, postures: Array) -> tuple[list[dict[str, Any]], list[list[
         given = {name: None if np.isnan(x) else x for name, x in ends.items()}
         entries.append({"joint": j, "unit": unit, **given, "rows_outside": count})
         # none where it may turn all the way round, and readings of several turns do not matter
-        has_limits = np.isfinite(lower) and (doubts.limited(arm)[j - 1] or j in tied)
+        has_limits = np.isfinite(lower) and (arm.limited[j - 1] or j in tied)
         shown_limits = (f"{x:.2f}" if has_limits else "none" for x in (lower, upper))
         rows.append([str(j), f"{low:.2f}", f"{high:.2f}", *shown_limits, unit, str(count)])
         # of a joint that turns by less than 5 deg, or slides by less than 1 % of its way, its own errors are hardly
