@@ -356,10 +356,8 @@ def test_an_error_of_any_form_is_written_at_its_place_and_predicts_other_rows(na
     rng = np.random.default_rng(8)
     run, fresh = (simulator.session(TRUTH, rng.uniform(-np.pi, np.pi, (120, 3)), rng) for _ in range(2))
     truth = replace(TRUTH, effects=[cells.physics_effect(TRUTH, run, name, 40.0, rng)])
-    data, other = (
-        simulator.recorded(truth, run, simulator.noise(truth, run, rng)),
-        simulator.recorded(truth, fresh, np.zeros((120, 2))),
-    )
+    data = simulator.recorded(truth, run, simulator.noise(truth, run, rng))
+    other = simulator.recorded(truth, fresh, np.zeros((120, 2)))
     found = diagnose(ARM, data)
     assert found.verdict == "unknown"
     assert str(found.where).startswith(place)

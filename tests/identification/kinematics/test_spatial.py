@@ -64,7 +64,6 @@ def tip_by_exponentials(chain: KinematicChain, q: Array, values: dict[str, float
 
 def places_by_exponentials(chain: KinematicChain, q: Array, values: dict[str, float]) -> list[Array]:
     """n + 2 poses (4, 4) of base, joints after they moved, and tip, by matrix exponentials of elementary twists."""
-
     shift, turn = ([values.get(f"base.{r}{axis}", 0.0) for axis in "xyz"] for r in ("", "r"))
     place = pose(shift) @ chain.base
     for k in range(3):
