@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import casadi as ca
@@ -234,6 +234,13 @@ class Frame:
 
     def placed(self, matrix: Array) -> Frame:
         """A frame whose pose (4, 4) in this one is constant."""
-        placed = ca.sparsify(ca.SX(ca.DM(np.where(np.abs(matrix) < 1e-15, 0.0, matrix))))
-        straight = np.array_equal(matrix[:3, :3], np.eye(3))
-        return self.shifted(placed[:3, 3]) if straight else Frame(self, placed[:3, 3], placed[:3, :3])
+        shift, rotation = _constants(np.asarray(matrix, dtype=float).tobytes())
+        return self.shifted(shift) if rotation is None else Frame(self, shift, rotation)
+
+
+@lru_cache(maxsize=512)
+def _constants(entries: bytes) -> tuple[ca.SX, ca.SX | None]:
+    """Shift (3,) and rotation (3, 3), None: none, of a pose (4, 4), in CasADi; models have many of the same."""
+    matrix = np.frombuffer(entries).reshape(4, 4)
+    placed = ca.sparsify(ca.SX(ca.DM(np.where(np.abs(matrix) < 1e-15, 0.0, matrix))))
+    return placed[:3, 3], None if np.array_equal(matrix[:3, :3], np.eye(3)) else placed[:3, :3]
