@@ -119,6 +119,8 @@ def compensate(
         assumed.append(f"{', '.join(warm)}: taken at the mean temperature of the identification{at}")
     if where.payload is None and (loaded := [e.key for e in model.effects if "gravity" in e.needs]):
         assumed.append(f"{', '.join(loaded)}: taken with the payload of the arm file, {arm.payload:g} kg")
+    if arm.chain.instrument.reads_positions and (read := [e.key for e in model.effects if hasattr(e, "instrument")]):
+        assumed.append(f"{', '.join(read)}: an error of the instrument, which targets are taken to have as readings do")
     near = np.tile(np.add(*familiar) / 2.0, (len(goals), 1)) if nominal is None else nominal
     task, sided = Task(model, goals, near, where, *limits, constraints, tolerance), tuple[str, ...]()
     commands, driven = task.reached_within(boxes)

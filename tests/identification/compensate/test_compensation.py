@@ -283,21 +283,20 @@ def test_what_happened_in_the_session_is_over_and_the_temperature_is_its_mean() 
     lengths, offsets = LENGTHS + CALIBRATION.length_errors, CALIBRATION.joint_offsets
     jump = np.array([0.0, 2e-3, 0.0, 0.0])
     np.testing.assert_allclose(tip(found.commands + offsets + jump, lengths), found.targets, rtol=0, atol=TOLERANCE)
-    assert found.warnings == [
-        "joint_step:2: the value at the end of the session of the identification is used",
-        "thermal_growth: taken at the mean temperature of the identification",
-    ]
-    sags = arm(EffectSpec("joint_compliance", 2), values={"joint_compliance:2.c": 1e-5})
+    ended = "joint_step:2: the value at the end of the session of the identification is used"
+    assert found.warnings == [ended, "thermal_growth: taken at the mean temperature of the identification"]
     carried = f"joint_compliance:2: taken with the payload of the arm file, {GRAVITY.payload:g} kg"
-    assert compensate(sags, postures=nominal).warnings == [carried]
+    read = "measurement_scale: an error of the instrument, which targets are taken to have as readings do"
+    scaled = EffectSpec("measurement_scale", None, {"s": 1e-4})
+    for spec, said in ((EffectSpec("joint_compliance", 2, {"c": 1e-5}), carried), (scaled, read)):
+        assert compensate(arm(spec), postures=nominal).warnings == [said]
     given = Conditions(time=np.zeros(2), temperature=np.zeros(2))
     before = compensate(jumped, postures=nominal, conditions=given)
     assert before.warnings == []
     np.testing.assert_allclose(tip(before.commands + offsets, lengths), before.targets, rtol=0, atol=TOLERANCE)
     # in the second session, which has a base of its own: the file has that of the first
-    moved = arm(
-        EffectSpec("base_step", None, {"at": 1.2, "side": 1.0}), values={"base_step.x": 1.0, "base_step.y": 0.0}
-    )
+    later = EffectSpec("base_step", None, {"at": 1.2, "side": 1.0})
+    moved = arm(later, values={"base_step.x": 1.0, "base_step.y": 0.0})
     np.testing.assert_allclose(compensate(moved, found.targets).commands, compensate(arm(), found.targets).commands)
 
 
