@@ -13,13 +13,15 @@ import numpy as np
 from identification.arm import SESSIONS, EffectSpec, ErrorCurve
 from identification.arrays import Array
 from identification.estimation.uncertainty import LEVEL_95 as LEVEL
-from identification.gap.blocks import WAVES, around, curve_waves, slope_by_angle
+from identification.gap.blocks import WAVES, Block, around, curve_waves, slope_by_angle
 from identification.gap.fit import Fitted
 from identification.gap.likelihood import Index, Key, mixed
-from identification.gap.search import Posterior
+from identification.gap.search import PASSES, Posterior
 from identification.information import VISIBLE
+from identification.measurements import rms_distance
 from identification.model import Model
 
+BENT = 0.5  # numerical: of the noise of a coordinate, by which distances from linear positions may be larger
 FAITHFUL = 0.01  # numerical: of an error curve, by which its table may miss it in the root mean square
 
 
@@ -52,8 +54,26 @@ def geometry(base: Fitted) -> PredictingModel:
     return PredictingModel(base.model, base.values, base.rows, covariance, base.sigma, max(base.freedom, 1), spread)
 
 
-def averaged(posterior: Posterior, coordinates: int) -> PredictingModel:
-    """The posterior's average as a model;  coordinates : number of those that it is fitted to"""
+def averaged(posterior: Posterior, coordinates: int) -> tuple[PredictingModel, Array, Posterior]:
+    """The posterior's average as a model, by how much its positions (m, d) [mm] differ from linear ones, and the
+    posterior that it is of: where that is much, and as long as residuals fall, it is linearized again at its average.
+
+    coordinates : number of those that it is fitted to
+    """
+    best, bend, mean = as_model(posterior, coordinates)
+    for _ in range(PASSES):
+        if rms_distance(bend) <= BENT * best.sigma:
+            break
+        nearer = posterior.about(mean)
+        better, less, mean = as_model(nearer, coordinates)
+        if rms_distance(better.errors) >= rms_distance(best.errors):
+            break
+        posterior, best, bend = nearer, better, less
+    return best, bend, posterior
+
+
+def as_model(posterior: Posterior, coordinates: int) -> tuple[PredictingModel, Array, Fitted]:
+    """As `averaged`, of a posterior as it is linearized, and its average with effects alone, without error curves."""
     whole, library, rows, g = posterior.whole, posterior.library, posterior.at.rows, len(posterior.whole.base)
     arm = library.arm
     chances = defaultdict[str, float](float)
@@ -93,6 +113,27 @@ def averaged(posterior: Posterior, coordinates: int) -> PredictingModel:
     apart = np.array(means) - mean
     covariance = np.tensordot(posterior.shares, covariances, 1) + (apart.T * posterior.shares) @ apart
     freedom = max(coordinates - round(used) - g, 1)
+    # what physics bounds is held at its bounds where it is beyond, and all else gives way
+    lower, upper = np.outer([-np.inf, np.inf], np.ones(len(mean)))
+    for b in (b for b in kept if b.effect is not None):
+        lower[numbers_of[b.label]], upper[numbers_of[b.label]] = np.transpose(
+            [(p.lower, p.upper) for p in b.effect.parameters]
+        )
+    drawn, held = mean, np.zeros(len(mean), dtype=bool)
+    while np.any(beyond := (mean < lower) | (mean > upper)):
+        held |= beyond
+        ends = np.clip(drawn, lower, upper)
+        share = np.linalg.pinv(covariance[np.ix_(held, held)], hermitian=True) @ (ends - drawn)[held]
+        mean = np.where(held, ends, drawn + covariance[:, held] @ share)
+
+    def of_effects(blocks: Sequence[Block]) -> tuple[Model, Index]:
+        """The model with these effects, and the numbers of its parameters among all."""
+        wider = library.model(blocks)
+        renamed = library.renamed(wider)
+        place = {renamed.get(name, name): k for k, name in enumerate(library.base.names)}
+        for block, effect in zip(blocks, wider.effects[len(wider.effects) - len(blocks) :], strict=True):
+            place |= {p.name: k for p, k in zip(effect.parameters, numbers_of[block.label].tolist(), strict=True)}
+        return wider, np.array([place[name] for name in wider.names], dtype=np.int64)
 
     # an error curve takes up all else that depends on its joint's angle alone: within the angles measured they may
     # cancel, and beyond them, where a curve does not hold, their sum is worth no more
@@ -105,12 +146,7 @@ def averaged(posterior: Posterior, coordinates: int) -> PredictingModel:
     absorbed = [label for _, functions in of_curves for label in functions]
     members = [b for b in kept if b.listed and b.label not in absorbed]
     unlisted = [b.effect for b in kept if b.effect and b.effect.unlisted]
-    plain = library.model(members)
-    renamed = library.renamed(plain)
-    place = {renamed.get(name, name): k for k, name in enumerate(library.base.names)}
-    for block, effect in zip(members, plain.effects[len(plain.effects) - len(members) :], strict=True):
-        place |= {p.name: k for p, k in zip(effect.parameters, numbers_of[block.label].tolist(), strict=True)}
-    index = np.array([place[name] for name in plain.names], dtype=np.int64)
+    plain, index = of_effects(members)
     values = np.clip(mean[index], plain.parameters.lower, plain.parameters.upper)
 
     curves = list[Curve]()
@@ -157,7 +193,12 @@ def averaged(posterior: Posterior, coordinates: int) -> PredictingModel:
     of_base, spread = np.flatnonzero(index < g), np.zeros((len(index), len(index)))
     normal = posterior.problems[posterior.best.noise].normal
     spread[np.ix_(of_base, of_base)] = normal[np.ix_(index[of_base], index[of_base])]
-    jacobian = Fitted(model, values, rows).linearized[1]
+    position, jacobian = Fitted(model, values, rows).linearized
+    left, of_base = library.as_base(posterior.at)
+    left = left - posterior.at.linearized[1][:, :, of_base] @ (mean[:g] - posterior.at.values[of_base])
+    for b in kept:
+        left = left - whole.columns[whole.numbers[b.label]] @ mean[numbers_of[b.label]]
+    bend = position - (rows.positions - left)
     tabulated = [*absorbed, *(effect.label for effect in unlisted)]
     conditioned = np.concatenate([index[:0], *(numbers_of[label] for label in tabulated)])
     columns = np.concatenate([jacobian, *(whole.columns[whole.numbers[label]] for label in tabulated)], axis=2)
@@ -167,7 +208,9 @@ def averaged(posterior: Posterior, coordinates: int) -> PredictingModel:
     spread /= max(float(np.sum(inside * spread)), 1e-300)
     square = float(np.sum(gram * covariance[np.ix_(every, every)]) - np.sum(inside * beside))
     sigma, specs = float(np.sqrt(variance)), tuple(entries)
-    return PredictingModel(model, values, rows, beside, sigma, freedom, spread, specs, tuple(curves)).allowing(square)
+    predicting = PredictingModel(model, values, rows, beside, sigma, freedom, spread, specs, tuple(curves))
+    wide, numbers = of_effects([b for b in kept if b.effect is not None])
+    return predicting.allowing(square + rms_distance(bend) ** 2), bend, Fitted(wide, mean[numbers], rows)
 
 
 def conditional_covariance(covariance: Array, kept: Index, conditioned: Index) -> Array:

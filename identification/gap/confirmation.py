@@ -272,11 +272,13 @@ def cross_validation(
     generator: np.random.Generator,
     named: bool,
     noise_factor: float,
+    bend: Array,
 ) -> tuple[Confirmation, ...]:
     """Test whether the average holds for other postures, and for another interval of time; as the sets were found with
     all rows, this can refute a model but not confirm it.
 
     kept : (m,) rows that are no outliers;  named : False if nothing was named;  noise_factor : as in `HeldOut.test`
+    bend : (m, d) [mm] what the average computes beside what is linear, as in `averaged`
     """
     by_groups = groups_of(measurements, kept)
     postures = np.unique(measurements.posture_numbers[kept], return_inverse=True)[1]
@@ -288,6 +290,8 @@ def cross_validation(
     tests = []
     predicted_rows = predicted_from_others(posterior, kept, [*parts.values()], noise_factor)
     for transfer, (before, after, expected) in zip(parts, predicted_rows, strict=True):
+        more = bend[kept, POINT]
+        after, expected = after - more, expected + float(np.mean(distances(more) ** 2))
         predicted, sigma = Mean(expected, 0.0, np.inf), float(np.sqrt(expected / after.shape[1]))
         level = LEVEL / len(parts)  # Bonferroni
         tests.append(confirm(before, after, predicted, sigma, by_groups, transfer, "cross-validation", level, named))

@@ -96,7 +96,7 @@ def diagnose(
         return model, over
 
     # what predicts best, and what it leaves
-    predicting = averaged(posterior, int(kept.sum()) * rows.dimension)
+    predicting, bend, posterior = averaged(posterior, int(kept.sum()) * rows.dimension)
     before, after = base.residuals(measurements), predicting.residuals(measurements)
     # an average beyond physical bounds is cut there, and may be worse than the geometry in its own rows
     weighted = posterior.noises[best.noise].rows.pick(kept)
@@ -130,7 +130,7 @@ def diagnose(
     shown, fitted, named = sets[0], fits[0], candidates[0]
 
     # tests on other rows
-    tests = cross_validation(posterior, measurements, kept, generator, something, noise_factor)
+    tests = cross_validation(posterior, measurements, kept, generator, something, noise_factor, bend)
     if tests[0].shrinks is False and tests[0].after_mm > tests[0].before_mm:  # by more than chance
         alone, after = True, before
         predicting, over_sigma = against_sigma(geometry(base), before)

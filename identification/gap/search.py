@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import lgamma
 
@@ -273,6 +273,21 @@ class Posterior:
         noises, probabilities = zip(*((one.noise, one.probability) for one in self.explanations), strict=True)
         return np.bincount(noises, probabilities, len(self.noises)).astype(float)
 
+    def about(self, at: Fitted) -> Posterior:
+        """The same sets, linearized at another fit, without blocks that do not show there."""
+        wrong = [b.row for b in self.whole.blocks if b.row is not None]
+        wholes = [linearized(self.library, at.on(noise.rows), wrong) for noise in self.noises]
+        problems, draws, places = list[Linearized](), list[Counter[Key]](), list[dict[int, int]]()
+        for old, new, drawn in zip(self.problems, wholes, self.draws, strict=True):
+            shown = [b for b, block in enumerate(old.blocks) if block.label in new.numbers]
+            places.append({b: k for k, b in enumerate(shown)})
+            problems.append(new.of([new.numbers[old.blocks[b].label] for b in shown]))
+            draws.append(Counter())
+            for key, count in drawn.items():
+                draws[-1][_renumbered(key, places[-1])] += count
+        sets = tuple(replace(one, key=_renumbered(one.key, places[one.noise])) for one in self.explanations)
+        return replace(self, explanations=sets, problems=tuple(problems), draws=tuple(draws), whole=wholes[0], at=at)
+
 
 def posterior_of(
     library: Library, rows: Rows, generator: np.random.Generator, tell: Tell = lambda _: None
@@ -366,6 +381,11 @@ def posterior_of(
         explanations.append(Explanation(blocks, key, which, float(probabilities[i])))
     models = tuple(every[k] for k in taken)
     return Posterior(tuple(explanations), models, tuple(problems), tuple(draws), problem, library, at.on(rows))
+
+
+def _renumbered(key: Key, places: dict[int, int]) -> Key:
+    """A set whose blocks have other numbers, without those that have none."""
+    return tuple((places[b], size) for b, size in key if b in places)
 
 
 def _same_set(problem: Linearized, chosen: dict[str, int]) -> State:
