@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from identification.arrays import rows_in_words
 from identification.document import (
     Action,
     Document,
@@ -27,10 +28,12 @@ from identification.document import (
 from identification.documents import identification as fits
 from identification.effects import library
 from identification.estimation.result import corrected_values
+from identification.running import Status
 
 if TYPE_CHECKING:
     from identification.gap.detectability import Detectability
     from identification.gap.result import Diagnosis
+    from identification.measurements import Measurements
 
 Data = Mapping[str, Any]  # what `armcal diagnose --json` says
 MOST = 4  # kinds of effects that a verdict spells out
@@ -395,6 +398,55 @@ def excluded_by_kind(data: Data) -> list[list[str]]:
 
 
 # -- before a diagnosis ------------------------------------------------------------------------------------------------
+def remarks(
+    result: Diagnosis,
+    measurements: Measurements,
+    skipped: Mapping[str, str],
+    searched: int,
+    status: Status,
+    alone: bool,
+) -> Iterator[str]:
+    """Sentences to read before the verdict is trusted.
+
+    skipped : as of `untested`;  searched : in how many rows effects were looked for;  status : of the fit of the best
+    set;  alone : whether the geometry alone predicts better
+    """
+    pairs = [(effect, like, share) for effect, like, share in result.aliases if "[" in like]
+    scanned, most = [effect for effect in result.effects if effect in {pair[0] for pair in pairs}], 3
+    for effect in scanned[:most]:
+        waves = [(like, share) for key, like, share in pairs if key == effect]
+        # the odds stay below 20 up to lambda = 173
+        word = "cannot be distinguished from" if waves[0][1] > 0.9999 else "is hard to distinguish from"
+        rest = f" and {len(waves) - most} more" if len(waves) > most else ""
+        likes = f"{', '.join(like for like, _ in waves[:most])}{rest}"
+        yield f"at these postures {effect} {word} {likes}; to decide, measure at other joint angles"
+    if len(scanned) > most:
+        yield f"the same holds of {count_of(len(scanned) - most, 'more effect')}: --json lists them as aliases"
+    if result.curves:
+        spans = [np.degrees([curve.angles[0], curve.angles[-1]]) for curve in result.curves]
+        ranges = [f"joint {c.joint} {a:.0f} to {b:.0f} deg" for c, (a, b) in zip(result.curves, spans, strict=True)]
+        beyond = "where a joint is beyond them, the model is without curves, with the geometry that was fitted alone"
+        yield f"the error curves hold for the angles measured ({', '.join(ranges)}); {beyond}"
+    if alone:
+        yield "the geometry alone predicts better: that is what --out writes"
+    yield from untested(skipped)
+    if len(measurements.sessions) > 1 and measurements.dimension > 2 and any("_step:" in e for e in result.effects):
+        yield "a reflector mounted anew between sessions looks like steps: it needs another name (marker) each session"
+    if searched < len(measurements):
+        some = f"{searched} of the {len(measurements)} rows, taken at random"
+        yield f"effects were looked for in {some}; what was found is fitted to all"
+    if status is not Status.converged:
+        yield f"the fit of the best model did not converge: {status.value}"
+    if measurements.directions is None:
+        yield "directions of approach were derived from the order of measurement"
+    if result.misfit is not None and measurements.sigma is None and not 0.67 < result.misfit.ratio < 1.5:
+        of_file = f"{result.misfit.ratio:.3g} times the sigma_mm of the arm file"
+        yield f"the residual scatter is {of_file}; the tests use the scatter, not sigma_mm"
+    if rows := result.unexplained_rows:
+        which = rows_in_words(np.isin(np.arange(max(rows)) + 1, rows))
+        yield f"{which} are not explained; they stay in, as whole postures or neighbors"
+
+
 def untested(skipped: Mapping[str, str]) -> list[str]:
     """One sentence for each reason why effects were not tested;  skipped : effect -> reason."""
     words = {"needs gravity": "needs [gravity] in the arm file", "needs temperature": "needs temperature_C that varies"}

@@ -114,15 +114,12 @@ def as_model(posterior: Posterior, coordinates: int) -> tuple[PredictingModel, A
     covariance = np.tensordot(posterior.shares, covariances, 1) + (apart.T * posterior.shares) @ apart
     freedom = max(coordinates - round(used) - g, 1)
     # what physics bounds is held at its bounds where it is beyond, and all else gives way
-    lower, upper = np.outer([-np.inf, np.inf], np.ones(len(mean)))
-    for b in (b for b in kept if b.effect is not None):
-        lower[numbers_of[b.label]], upper[numbers_of[b.label]] = np.transpose(
-            [(p.lower, p.upper) for p in b.effect.parameters]
-        )
+    pairs = [(numbers_of[b.label].tolist(), b.effect.parameters) for b in kept if b.effect is not None]
+    bounds = {k: (p.lower, p.upper) for numbers, parameters in pairs for k, p in zip(numbers, parameters, strict=True)}
+    lower, upper = np.transpose([bounds.get(k, (-np.inf, np.inf)) for k in range(len(mean))])
     drawn, held = mean, np.zeros(len(mean), dtype=bool)
     while np.any(beyond := (mean < lower) | (mean > upper)):
-        held |= beyond
-        ends = np.clip(drawn, lower, upper)
+        held, ends = held | beyond, np.clip(mean, lower, upper)
         share = np.linalg.pinv(covariance[np.ix_(held, held)], hermitian=True) @ (ends - drawn)[held]
         mean = np.where(held, ends, drawn + covariance[:, held] @ share)
 

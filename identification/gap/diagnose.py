@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
 from identification.arm import Arm
-from identification.arrays import Array, readonly, rows_in_words
-from identification.document import count_of
-from identification.documents.diagnosis import untested
+from identification.arrays import Array, readonly
+from identification.documents.diagnosis import remarks
 from identification.errors import InputError
 from identification.estimation.doubts import (
     another_frame,
@@ -29,15 +27,15 @@ from identification.gap.average import PredictingModel, averaged, geometry
 from identification.gap.blocks import hypotheses
 from identification.gap.confirmation import Gap, HeldOut, cross_validation
 from identification.gap.detectability import assess, look_alikes, require_spare
-from identification.gap.fit import Fitted, Rows, determined, fit
+from identification.gap.fit import Rows, determined, fit
 from identification.gap.result import Candidate, Diagnosis, as_calibration, probabilities
-from identification.gap.search import MOST_ROWS, PASSES, Posterior, posterior_of
+from identification.gap.search import MOST_ROWS, PASSES, posterior_of
 from identification.information import spectrum
 from identification.inspection.readings import gap_notes
 from identification.measurements import Measurements, rms_distance
 from identification.model import Model
 from identification.model.placed import with_sessions
-from identification.running import Progress, Status, single_thread
+from identification.running import Progress, single_thread
 
 
 @single_thread()
@@ -190,7 +188,9 @@ def diagnose(
         replication=tuple(replications(fitted, measurements.session_names, named.effects)),
         curves=curves,
     )
-    result = replace(result, notes=tuple(notes(result, posterior, measurements, fitted, alone)))
+    searched = min(MOST_ROWS, len(measurements))
+    said = remarks(result, measurements, library.skipped, searched, fitted.status, alone)
+    result = replace(result, notes=(*said, *gap_notes(measurements)))
     progress(1.0, 1.0, result.sentence)
     return result
 
@@ -224,47 +224,3 @@ def check_input(arm: object, measurements: Measurements, holdout: Measurements |
     if shared or 2 * near > len(holdout):  # a few repeats may agree by chance, most rows only in a rounded copy
         copied = f"{max(shared, near)} of {len(holdout)} rows are also in the data"
         raise InputError(f"holdout: {copied}, allowed: rows not used before")
-
-
-def notes(
-    result: Diagnosis, posterior: Posterior, measurements: Measurements, best: Fitted, alone: bool
-) -> Iterator[str]:
-    """Sentences to read before the verdict is trusted.
-
-    best : fit of the likeliest set;  alone : whether the geometry alone predicts better
-    """
-    pairs = [(effect, like, share) for effect, like, share in result.aliases if "[" in like]
-    scanned, most = [effect for effect in result.effects if effect in {pair[0] for pair in pairs}], 3
-    for effect in scanned[:most]:
-        waves = [(like, share) for key, like, share in pairs if key == effect]
-        # the odds stay below 20 up to lambda = 173
-        word = "cannot be distinguished from" if waves[0][1] > 0.9999 else "is hard to distinguish from"
-        rest = f" and {len(waves) - most} more" if len(waves) > most else ""
-        likes = f"{', '.join(like for like, _ in waves[:most])}{rest}"
-        yield f"at these postures {effect} {word} {likes}; to decide, measure at other joint angles"
-    if len(scanned) > most:
-        yield f"the same holds of {count_of(len(scanned) - most, 'more effect')}: --json lists them as aliases"
-    if result.curves:
-        spans = [np.degrees([curve.angles[0], curve.angles[-1]]) for curve in result.curves]
-        ranges = [f"joint {c.joint} {a:.0f} to {b:.0f} deg" for c, (a, b) in zip(result.curves, spans, strict=True)]
-        beyond = "where a joint is beyond them, the model is without curves, with the geometry that was fitted alone"
-        yield f"the error curves hold for the angles measured ({', '.join(ranges)}); {beyond}"
-    if alone:
-        yield "the geometry alone predicts better: that is what --out writes"
-    yield from untested(posterior.library.skipped)
-    if len(measurements.sessions) > 1 and measurements.dimension > 2 and any("_step:" in e for e in result.effects):
-        yield "a reflector mounted anew between sessions looks like steps: it needs another name (marker) each session"
-    if len(measurements) > MOST_ROWS:
-        searched = f"{MOST_ROWS} of the {len(measurements)} rows, taken at random"
-        yield f"effects were looked for in {searched}; what was found is fitted to all"
-    if best.status is not Status.converged:
-        yield f"the fit of the best model did not converge: {best.status.value}"
-    if measurements.directions is None:
-        yield "directions of approach were derived from the order of measurement"
-    yield from gap_notes(measurements)
-    if result.misfit is not None and measurements.sigma is None and not 0.67 < result.misfit.ratio < 1.5:
-        of_file = f"{result.misfit.ratio:.3g} times the sigma_mm of the arm file"
-        yield f"the residual scatter is {of_file}; the tests use the scatter, not sigma_mm"
-    if rows := result.unexplained_rows:
-        which = rows_in_words(np.isin(np.arange(max(rows)) + 1, rows))
-        yield f"{which} are not explained; they stay in, as whole postures or neighbors"

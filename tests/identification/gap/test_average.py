@@ -74,7 +74,7 @@ def test_the_expected_square_error_is_that_of_draws() -> None:
         errors.append(drawn @ np.concatenate([jacobian[:, :, own], *columns], axis=2).reshape(100, -1).T)
     true = np.concatenate(errors)  # of the tips, beside the base where it was linearized
 
-    written = averaged(given, rows.positions.size)
+    written, _, _ = averaged(given, rows.positions.size)
     drawing = rows.positions - left
     off = (written.model.position(rows.postures, written.values, rows.conditions) - drawing).ravel()
     columns = written.linearized[1]
@@ -89,7 +89,7 @@ def test_beyond_the_angles_of_a_curve_the_geometry_holds_that_was_fitted_alone()
     one = given.explanations[2]
     assert [block.label for block in one.blocks] == list(SETS[2])
     alone = replace(given, explanations=(replace(one, probability=1.0),), draws=(Counter([one.key]),))
-    written, plain = averaged(alone, given.at.rows.positions.size), fit(Model(ARM), given.at.rows)
+    (written, _, _), plain = averaged(alone, given.at.rows.positions.size), fit(Model(ARM), given.at.rows)
     beyond = np.array([[0.3, 2.9], [-1.0, -3.0], [1.5, 3.1]])
     left = written.model.position(beyond, written.values) - plain.model.position(beyond, plain.values)
     assert float(np.abs(left).max()) < 1e-3  # [mm]; of second order in an eccentricity of 0.3 mm at the tip
