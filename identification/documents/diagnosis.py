@@ -33,7 +33,6 @@ from identification.running import Status
 if TYPE_CHECKING:
     from identification.gap.detectability import Detectability
     from identification.gap.result import Diagnosis
-    from identification.measurements import Measurements
 
 Data = Mapping[str, Any]  # what `armcal diagnose --json` says
 MOST = 4  # kinds of effects that a verdict spells out
@@ -398,19 +397,13 @@ def excluded_by_kind(data: Data) -> list[list[str]]:
 
 
 # -- before a diagnosis ------------------------------------------------------------------------------------------------
-def remarks(
-    result: Diagnosis,
-    measurements: Measurements,
-    skipped: Mapping[str, str],
-    searched: int,
-    status: Status,
-    alone: bool,
-) -> Iterator[str]:
+def remarks(result: Diagnosis, searched: int, status: Status, alone: bool) -> Iterator[str]:
     """Sentences to read before the verdict is trusted.
 
-    skipped : as of `untested`;  searched : in how many rows effects were looked for;  status : of the fit of the best
-    set;  alone : whether the geometry alone predicts better
+    searched : rows in which effects were looked for;  status : of the fit of the best set;  alone : whether the
+    geometry alone predicts better
     """
+    measurements = result.measurements
     pairs = [(effect, like, share) for effect, like, share in result.aliases if "[" in like]
     scanned, most = [effect for effect in result.effects if effect in {pair[0] for pair in pairs}], 3
     for effect in scanned[:most]:
@@ -429,7 +422,7 @@ def remarks(
         yield f"the error curves hold for the angles measured ({', '.join(ranges)}); {beyond}"
     if alone:
         yield "the geometry alone predicts better: that is what --out writes"
-    yield from untested(skipped)
+    yield from untested(result.detectability.skipped)
     if len(measurements.sessions) > 1 and measurements.dimension > 2 and any("_step:" in e for e in result.effects):
         yield "a reflector mounted anew between sessions looks like steps: it needs another name (marker) each session"
     if searched < len(measurements):

@@ -57,9 +57,7 @@ def geometry(base: Fitted) -> PredictingModel:
 def averaged(posterior: Posterior, coordinates: int) -> tuple[PredictingModel, Array, Posterior]:
     """The posterior's average as a model, by how much its positions (m, d) [mm] differ from linear ones, and the
     posterior that it is of: where that is much, and as long as residuals fall, it is linearized again at its average.
-
-    coordinates : number of those that it is fitted to
-    """
+    coordinates : number of those that it is fitted to"""
     best, bend, mean = as_model(posterior, coordinates)
     for _ in range(PASSES):
         if rms_distance(bend) <= BENT * best.sigma:
@@ -114,9 +112,12 @@ def as_model(posterior: Posterior, coordinates: int) -> tuple[PredictingModel, A
     covariance = np.tensordot(posterior.shares, covariances, 1) + (apart.T * posterior.shares) @ apart
     freedom = max(coordinates - round(used) - g, 1)
     # what physics bounds is held at its bounds where it is beyond, and all else gives way
-    pairs = [(numbers_of[b.label].tolist(), b.effect.parameters) for b in kept if b.effect is not None]
-    bounds = {k: (p.lower, p.upper) for numbers, parameters in pairs for k, p in zip(numbers, parameters, strict=True)}
-    lower, upper = np.transpose([bounds.get(k, (-np.inf, np.inf)) for k in range(len(mean))])
+    lower, upper = np.full(len(mean), -np.inf), np.full(len(mean), np.inf)
+    bounded = [*enumerate(library.base.parameters)]
+    for b in (b for b in kept if b.effect is not None):
+        bounded += zip(numbers_of[b.label].tolist(), b.effect.parameters, strict=True)
+    for k, parameter in bounded:
+        lower[k], upper[k] = parameter.lower, parameter.upper
     drawn, held = mean, np.zeros(len(mean), dtype=bool)
     while np.any(beyond := (mean < lower) | (mean > upper)):
         held, ends = held | beyond, np.clip(mean, lower, upper)
@@ -144,7 +145,7 @@ def as_model(posterior: Posterior, coordinates: int) -> tuple[PredictingModel, A
     members = [b for b in kept if b.listed and b.label not in absorbed]
     unlisted = [b.effect for b in kept if b.effect and b.effect.unlisted]
     plain, index = of_effects(members)
-    values = np.clip(mean[index], plain.parameters.lower, plain.parameters.upper)
+    values = mean[index]
 
     curves = list[Curve]()
     beside_curves = [effect.label for effect in unlisted if effect.joint]  # off with the first
@@ -182,7 +183,7 @@ def as_model(posterior: Posterior, coordinates: int) -> tuple[PredictingModel, A
     for effect in unlisted:
         fixed = zip((p.short for p in effect.parameters), mean[numbers_of[effect.label]].tolist(), strict=True)
         entries.append(replace(effect.spec, values={**effect.spec.values, **dict(fixed)}))
-    entries += [curve.spec for curve in curves]
+    entries += [EffectSpec("joint_error_curve", curve.joint, curve=curve.table) for curve in curves]
     model = Model(arm.with_effects(*arm.effects, *entries))
 
     # a file stores the covariance of parameters, not of curves: it is taken beside the curves as they are written, then
@@ -205,8 +206,8 @@ def as_model(posterior: Posterior, coordinates: int) -> tuple[PredictingModel, A
     spread /= max(float(np.sum(inside * spread)), 1e-300)
     square = float(np.sum(gram * covariance[np.ix_(every, every)]) - np.sum(inside * beside))
     sigma, specs = float(np.sqrt(variance)), tuple(entries)
-    predicting = PredictingModel(model, values, rows, beside, sigma, freedom, spread, specs, tuple(curves))
     wide, numbers = of_effects([b for b in kept if b.effect is not None])
+    predicting = PredictingModel(model, values, rows, beside, sigma, freedom, spread, specs, tuple(curves))
     return predicting.allowing(square + rms_distance(bend) ** 2), bend, Fitted(wide, mean[numbers], rows)
 
 
@@ -251,15 +252,7 @@ class Curve:
         """(a,) values of the function [rad]."""
         return self.table.at(self.angles)
 
-    @property
-    def spec(self) -> EffectSpec:
-        """The effect as an entry of an arm file."""
-        return EffectSpec("joint_error_curve", self.joint, curve=self.table)
-
-    @cached_property
-    def described(self) -> tuple[str, list[dict[str, Any]]]:
-        """Description of its shape, and the waves that it consists of, strongest first."""
-        return shape_and_waves(self.angles, self.error, self.std)
+    described = cached_property(lambda self: shape_and_waves(self.angles, self.error, self.std))
 
     def to_json(self) -> dict[str, Any]:
         """An entry of `curves` (identification/files/README.md, "JSON keys"): at every half node the correction that,

@@ -96,7 +96,7 @@ def diagnose(
     # what predicts best, and what it leaves
     predicting, bend, posterior = averaged(posterior, int(kept.sum()) * rows.dimension)
     before, after = base.residuals(measurements), predicting.residuals(measurements)
-    # an average beyond physical bounds is cut there, and may be worse than the geometry in its own rows
+    # an average that is too far from linear may be worse than the geometry in its own rows
     weighted = posterior.noises[best.noise].rows.pick(kept)
     with_all, without = (float(np.linalg.norm(weighted.whiten(left[kept]))) for left in (after, before))
     if alone := bool(predicting.specs) and with_all > without:
@@ -188,8 +188,7 @@ def diagnose(
         replication=tuple(replications(fitted, measurements.session_names, named.effects)),
         curves=curves,
     )
-    searched = min(MOST_ROWS, len(measurements))
-    said = remarks(result, measurements, library.skipped, searched, fitted.status, alone)
+    said = remarks(result, min(MOST_ROWS, len(measurements)), fitted.status, alone)
     result = replace(result, notes=(*said, *gap_notes(measurements)))
     progress(1.0, 1.0, result.sentence)
     return result

@@ -46,8 +46,6 @@ _OCTAVES = np.subtract.outer(np.arange(len(SIZES)), np.arange(len(SIZES)))
 AROUND: Array = (1.0 - STRAY) * softmax(-0.5 * np.square(_OCTAVES / SPREAD), axis=1) + STRAY / len(SIZES)
 _LOG_AROUND = np.log(AROUND)
 
-Weighed = tuple[Key, float]  # a set with its likeliest sizes, and its log posterior odds against nothing
-
 
 class Search:
     """The sets of blocks of one linearized problem;  total : weight of all blocks, where these are some of them"""
@@ -146,9 +144,9 @@ class Search:
         order = np.argsort(shares, kind="stable")
         return sorted({*order[np.cumsum(shares[order]) > NEGLIGIBLE * (1.0 + shares.sum())].tolist(), *top.blocks})
 
-    def walk(self, top: State, generator: np.random.Generator) -> tuple[list[Weighed], Counter[Key]]:
-        """The sets that matter, likeliest first, and draws of sets (one for each tenth of a set that was moved), from a
-        set to start from."""
+    def walk(self, top: State, generator: np.random.Generator) -> tuple[list[tuple[Key, float]], Counter[Key]]:
+        """The sets that matter, likeliest first, with their likeliest sizes and log posterior odds against nothing, and
+        draws of sets (one for each tenth of a set that was moved), from a set to start from."""
         state, steps, odds, visits, draws = top, dict[Key, Array](), dict[Key, float](), Counter[Key](), Counter[Key]()
         for move in range(MOVES):
             taken = int(generator.integers(len(state.key) + 1))
@@ -275,6 +273,10 @@ class Posterior:
 
     def about(self, at: Fitted) -> Posterior:
         """The same sets, linearized at another fit, without blocks that do not show there."""
+
+        def renumbered(key: Key, places: dict[int, int]) -> Key:
+            return tuple((places[b], size) for b, size in key if b in places)
+
         wrong = [b.row for b in self.whole.blocks if b.row is not None]
         wholes = [linearized(self.library, at.on(noise.rows), wrong) for noise in self.noises]
         problems, draws, places = list[Linearized](), list[Counter[Key]](), list[dict[int, int]]()
@@ -284,8 +286,8 @@ class Posterior:
             problems.append(new.of([new.numbers[old.blocks[b].label] for b in shown]))
             draws.append(Counter())
             for key, count in drawn.items():
-                draws[-1][_renumbered(key, places[-1])] += count
-        sets = tuple(replace(one, key=_renumbered(one.key, places[one.noise])) for one in self.explanations)
+                draws[-1][renumbered(key, places[-1])] += count
+        sets = tuple(replace(one, key=renumbered(one.key, places[one.noise])) for one in self.explanations)
         return replace(self, explanations=sets, problems=tuple(problems), draws=tuple(draws), whole=wholes[0], at=at)
 
 
@@ -381,11 +383,6 @@ def posterior_of(
         explanations.append(Explanation(blocks, key, which, float(probabilities[i])))
     models = tuple(every[k] for k in taken)
     return Posterior(tuple(explanations), models, tuple(problems), tuple(draws), problem, library, at.on(rows))
-
-
-def _renumbered(key: Key, places: dict[int, int]) -> Key:
-    """A set whose blocks have other numbers, without those that have none."""
-    return tuple((places[b], size) for b, size in key if b in places)
 
 
 def _same_set(problem: Linearized, chosen: dict[str, int]) -> State:

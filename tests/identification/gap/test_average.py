@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from identification import Arm, Array, EffectSpec, Measurements, Model
+from identification import Arm, Array, EffectSpec, Gravity, Measurements, Model
 from identification.arm import ErrorCurve
 from identification.gap.average import averaged, conditional_covariance, shape_and_waves
 from identification.gap.blocks import around, hypotheses, measured_range
@@ -164,3 +164,38 @@ def test_a_range_begins_after_the_hole() -> None:
     np.testing.assert_allclose(around(ends, *measured_range(angles)), np.radians([3.0, 3.0, 181.0, 179.0]))
     np.testing.assert_array_equal(around(np.array([-np.pi, np.pi]), -np.pi, np.pi), [-np.pi, np.pi])
     assert measured_range(angles[:3]) == (angles[0], angles[2])  # the gap outside is wider
+
+
+def test_what_physics_bounds_is_held_there_and_all_else_gives_way() -> None:
+    """A joint that the rows would have stiffer than rigid, against the dense regression without it."""
+    arm = replace(ARM, gravity=Gravity((0.0, -9.81), [2.0, 1.0], [0.5, 0.5]))
+    rng, both = np.random.default_rng(0), (EffectSpec("joint_compliance", 1), EffectSpec("encoder_eccentricity", 2))
+    q = rng.uniform(-2.0, 2.0, (50, 2))
+    exact = Model(arm.with_effects(*both)).position(q, np.r_[np.zeros(4), -1e-4, 8e-4, 8e-4])
+    rows = Rows.of(Measurements(q, exact + 0.05 * rng.normal(size=(50, 2))))
+    walked = posterior_of(hypotheses(arm, frozenset(), rows), rows, rng)
+    numbers = [walked.whole.numbers[label] for label in ("joint_compliance:1", "encoder_eccentricity:2")]
+    key = tuple((number, 3) for number in sorted(numbers))
+    one = Explanation(tuple(walked.whole.blocks[k] for k, _ in key), key, 0, 1.0)
+    alone = {"problems": (walked.whole,), "noises": walked.noises[:1], "draws": (Counter([key]),)}
+    given = replace(walked, explanations=(one,), **alone)
+    written, _, _ = averaged(given, rows.positions.size)
+    (left, own), jacobian = given.library.as_base(given.at), given.at.linearized[1]
+    base, target = rows.whiten(jacobian[:, :, own]), rows.whiten(left)
+    less = replace(one, key=tuple(pair for pair in key if pair[0] == numbers[1]))
+    mean, _, (root,) = regressed(given, less, base, target)
+    off = np.concatenate([jacobian[:, :, own], given.whole.columns[numbers[1]] @ root], axis=2) @ mean
+    assert regressed(given, one, base, target)[0][4:][[k for k, _ in key].index(numbers[0]) * 2] < 0.0
+    assert written.by_name["joint_compliance:1.c"] == 0.0
+    np.testing.assert_allclose(written.errors, left - off, rtol=0.0, atol=2e-3)
+
+
+def test_an_average_far_from_the_fit_is_linearized_again() -> None:
+    given = three_sets()
+    near, _, _ = averaged(given, given.at.rows.positions.size)
+    values = given.at.values.copy()
+    values[given.library.as_base(given.at)[1]] += [30.0, -20.0, 0.05, -0.1]  # [mm], [rad]
+    elsewhere = given.about(replace(given.at, values=values))
+    far, bend, _ = averaged(elsewhere, given.at.rows.positions.size)
+    assert float(np.abs(bend).max()) < 0.01
+    np.testing.assert_allclose(far.errors, near.errors, rtol=0.0, atol=0.01)  # a fifth of the noise
