@@ -113,10 +113,10 @@ def as_model(posterior: Posterior, coordinates: int) -> tuple[PredictingModel, A
     freedom = max(coordinates - round(used) - g, 1)
     # what physics bounds is held at its bounds where it is beyond, and all else gives way
     lower, upper = np.full(len(mean), -np.inf), np.full(len(mean), np.inf)
-    bounded = [*enumerate(library.base.parameters)]
-    for b in (b for b in kept if b.effect is not None):
-        bounded += zip(numbers_of[b.label].tolist(), b.effect.parameters, strict=True)
-    for k, parameter in bounded:
+    bounded = dict(enumerate(library.base.parameters))
+    for effect in (b.effect for b in kept if b.effect is not None):
+        bounded |= zip(numbers_of[effect.label].tolist(), effect.parameters, strict=True)
+    for k, parameter in bounded.items():
         lower[k], upper[k] = parameter.lower, parameter.upper
     drawn, held = mean, np.zeros(len(mean), dtype=bool)
     while np.any(beyond := (mean < lower) | (mean > upper)):
@@ -192,11 +192,10 @@ def as_model(posterior: Posterior, coordinates: int) -> tuple[PredictingModel, A
     normal = posterior.problems[posterior.best.noise].normal
     spread[np.ix_(of_base, of_base)] = normal[np.ix_(index[of_base], index[of_base])]
     position, jacobian = Fitted(model, values, rows).linearized
-    left, of_base = library.as_base(posterior.at)
-    left = left - posterior.at.linearized[1][:, :, of_base] @ (mean[:g] - posterior.at.values[of_base])
-    for b in kept:
-        left = left - whole.columns[whole.numbers[b.label]] @ mean[numbers_of[b.label]]
-    bend = position - (rows.positions - left)
+    left, own = library.as_base(posterior.at)
+    parts = [whole.columns[whole.numbers[label]] @ mean[numbers] for label, numbers in numbers_of.items()]
+    parts.append(posterior.at.linearized[1][:, :, own] @ (mean[:g] - posterior.at.values[own]))
+    bend = position - (rows.positions - left + sum(parts))
     tabulated = [*absorbed, *(effect.label for effect in unlisted)]
     conditioned = np.concatenate([index[:0], *(numbers_of[label] for label in tabulated)])
     columns = np.concatenate([jacobian, *(whole.columns[whole.numbers[label]] for label in tabulated)], axis=2)
@@ -277,7 +276,6 @@ def shape_and_waves(angles: Array, error: Array, std: Array) -> tuple[str, list[
     0.8 of it.
 
     angles, error, std : (a,) of the curve [rad]
-
     Whole numbers of periods per turn are tried, up to the Nyquist limit of nodes at every other angle.
     Orders that differ by less than one period over the range are not distinguished.
     """
