@@ -397,13 +397,15 @@ def said_of_collisions(
     usual, blocked = int(np.sum(clearance.asked >= clearance.usual)), list[dict[str, Any]]()
     if postures is not None:
         data["collisions"] = near = clearance.too_near(postures)
-        # of data a posture may have many rows
-        those, many = (len(np.unique(each, axis=0)) for each in (postures[[k["run"] - 1 for k in near]], postures))
+        # of data a posture may have many rows, of which the first is named
+        alike = np.unique(postures, axis=0, return_inverse=True)[1].reshape(-1).tolist()
+        first = {(alike[each["run"] - 1], *each["bodies"]): each for each in reversed(near)}
+        those, many = (len({*some}) for some in ((posture for posture, *_ in first), alike))
         stay = "pair of bodies stays" if usual == 1 else "pairs of bodies stay"
         lines = [f"Collisions: {usual} {stay} {clearance.usual:g} mm apart in all {many} postures."]
         if near:
             lines = [f"Collisions: {those} of {many} postures bring bodies too near to each other:"]
-        lines += [f"  run {each['run']}: {distance_in_words(each)}" for each in near]
+        lines += [f"  run {each['run']}: {distance_in_words(each)}" for each in reversed(first.values())]
     if moves is not None:
         data["moves"] = {"not_free": (blocked := unproven(constraints, moves))}
     few = np.flatnonzero(clearance.asked < clearance.usual)
