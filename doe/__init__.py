@@ -1,7 +1,5 @@
 """Optimal design of calibration experiments: criteria, solvers, certificates (imported on first use)."""
 
-from __future__ import annotations
-
 from importlib import import_module
 from types import MappingProxyType
 from typing import Any

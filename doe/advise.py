@@ -4,8 +4,6 @@ The number matters more than the solver: 10 runs can tell less per run than 8 (d
 more runs the more is known: each plan is begun from the one of fewer runs.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial

@@ -1,7 +1,5 @@
 """A plan with its certificate, recomputed from the stored problem: no number of a solver is passed on."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 from time import perf_counter

@@ -7,8 +7,6 @@ The table is one Parquet file, written whole every few seconds while work goes o
 tasks of these seconds, and `resume` does what the table does not have.
 """
 
-from __future__ import annotations
-
 import hashlib
 import io
 import json

@@ -16,8 +16,6 @@ The box around the surface is parted in two where that leaves out most, again an
 joined to something outside is not inside without crossing the surface.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt

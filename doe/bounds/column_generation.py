@@ -15,8 +15,6 @@ The best bound that is known for a problem: the certificate of one number of run
 "Exact plans"), tight where it was made and loose by about the square of the change of log m elsewhere.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial

@@ -22,8 +22,6 @@ any columns of the DFT matrix (doe/README.md, "Information matrix"), in shuffled
 missing effects. With all ranges below pi it is the two-level factorial, 2^(joints) runs or a multiple.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from itertools import combinations
 

@@ -15,8 +15,6 @@ at a thousand candidates. Here M is a variable, tied to the weights by as many e
 for four links), after a change of coordinates in which the average posture has the unit matrix.
 """
 
-from __future__ import annotations
-
 import warnings
 from contextlib import suppress
 from typing import Any

@@ -1,7 +1,5 @@
 """The command `armcal`, a group of verbs. Importing it imports no solver, so that `armcal --help` answers at once."""
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Sequence

@@ -1,8 +1,6 @@
 """The whole loop on a simulated arm: plan, certificate, measurements, identification, what is still missing, commands
 for the real arm; the paper's 4-link arm, or a six-axis arm before a laser tracker. And its page and picture."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path

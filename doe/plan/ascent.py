@@ -12,8 +12,6 @@ slope at random ones, so that it is about an angle [rad], and s is in units of t
 the end, by about a thousandth of a radian, is put inside by Newton's method.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from doe.criteria import information_matrix

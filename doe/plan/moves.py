@@ -25,8 +25,6 @@ are exchanged as long as that gains: of 30 random postures of six joints the pat
 at most in eight).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise

@@ -4,8 +4,6 @@ Two postures of a plan, and of those measured already, differ by the minimum dis
 `DesignProblem.joint_units`; out of a list each is another one.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray

@@ -17,8 +17,6 @@ joint connects are not looked at (`Cell.apart`), nor those that touch wherever t
 of a pair that is always near, as both neighbours of a short link, a quarter of its largest distance is asked at most.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

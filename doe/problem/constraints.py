@@ -5,8 +5,6 @@ its size where it is near zero, at the best known values of the model's paramete
 in CasADi, for which links are thin and run from joint to joint; those of bodies are in `doe.problem.clearance`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import pairwise

@@ -7,8 +7,6 @@ A model is a function of a posture and of p parameters that gives d measured coo
 n joints, m postures; mm and rad, or whatever units the parameters say.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, Protocol
 

@@ -6,8 +6,6 @@ times are given (ROS) joints follow 10 s^3 - 15 s^4 + 6 s^5 of their way, 15/8 a
 other controllers speed up evenly to the speed v that is asked for and slow down so: it takes v/a more than at v.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

@@ -1,8 +1,6 @@
 """Pictures of plans and certificates (matplotlib figures; the caller shows or saves them); and an arm in space as
 scene.js draws it: its chain, the bodies of its cell, trackers, and measured errors as arrows."""
 
-from __future__ import annotations
-
 from base64 import b64encode
 from collections.abc import Mapping
 from functools import partial

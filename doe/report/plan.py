@@ -1,7 +1,5 @@
 """A plan as a part of a page, in which it is stepped through, reordered and cut."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Mapping
 from pathlib import Path

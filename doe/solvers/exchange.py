@@ -10,8 +10,6 @@ Exchange finds the pattern, a climb on gradients the last digits. Of many parame
 climbed plans are among those that the next are begun from.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

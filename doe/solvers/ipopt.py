@@ -12,8 +12,6 @@ B and its derivatives come from `doe.problem.problem`; CasADi calls numpy for th
 without second derivatives (E) its smooth stand-in is climbed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass

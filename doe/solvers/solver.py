@@ -1,7 +1,5 @@
 """What a solver is: a small frozen settings object whose one method offers plans. `solve` does everything else."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ criterion from the stored problem, keeps the best, and ends when the bound is re
 presses Ctrl-C.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cache

@@ -397,11 +397,11 @@ def excluded_by_kind(data: Data) -> list[list[str]]:
 
 
 # -- before a diagnosis ------------------------------------------------------------------------------------------------
-def remarks(result: Diagnosis, searched: int, status: Status, alone: bool) -> Iterator[str]:
+def remarks(result: Diagnosis, skipped: Mapping[str, str], searched: int, status: Status, alone: bool) -> Iterator[str]:
     """Sentences to read before the verdict is trusted.
 
-    searched : rows in which effects were looked for;  status : of the fit of the best set;  alone : whether the
-    geometry alone predicts better
+    skipped : as of `untested`;  searched : rows in which effects were looked for;  status : of the fit of the best set
+    alone : whether the geometry alone predicts better
     """
     measurements = result.measurements
     pairs = [(effect, like, share) for effect, like, share in result.aliases if "[" in like]
@@ -422,7 +422,7 @@ def remarks(result: Diagnosis, searched: int, status: Status, alone: bool) -> It
         yield f"the error curves hold for the angles measured ({', '.join(ranges)}); {beyond}"
     if alone:
         yield "the geometry alone predicts better: that is what --out writes"
-    yield from untested(result.detectability.skipped)
+    yield from untested(skipped)
     if len(measurements.sessions) > 1 and measurements.dimension > 2 and any("_step:" in e for e in result.effects):
         yield "a reflector mounted anew between sessions looks like steps: it needs another name (marker) each session"
     if searched < len(measurements):

@@ -4,8 +4,6 @@ Read and written by the standard library; declarations of a document type or of 
 and radians (http://wiki.ros.org/urdf/XML/joint).
 """
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence

@@ -4,8 +4,6 @@ The four explanations of its values t in one session and o in the others (identi
 are sets of blocks of `likelihood`: the effect's columns times the indicator of the session, and of the others.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from typing import Any
 

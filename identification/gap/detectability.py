@@ -4,8 +4,6 @@ All of it follows from the columns of `gap.blocks`, projected off the base model
 told apart by these rows, whatever their sizes (identification/README.md, "Gap workflow").
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import lru_cache

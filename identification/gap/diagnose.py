@@ -1,7 +1,5 @@
 """`diagnose`: find out which effect is missing in a model (identification/README.md, "Gap workflow")."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -188,7 +186,8 @@ def diagnose(
         replication=tuple(replications(fitted, measurements.session_names, named.effects)),
         curves=curves,
     )
-    said = remarks(result, min(MOST_ROWS, len(measurements)), fitted.status, alone)
+    searched = min(MOST_ROWS, len(measurements))
+    said = remarks(result, posterior.library.skipped, searched, fitted.status, alone)
     result = replace(result, notes=(*said, *gap_notes(measurements)))
     progress(1.0, 1.0, result.sentence)
     return result

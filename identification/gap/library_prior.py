@@ -2,8 +2,6 @@
 (identification/README.md, "With a prior"). The waves of a ripple of unknown order carry the error curve, too.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """The noise: its components, each with a marginal likelihood."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple

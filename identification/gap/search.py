@@ -46,6 +46,8 @@ _OCTAVES = np.subtract.outer(np.arange(len(SIZES)), np.arange(len(SIZES)))
 AROUND: Array = (1.0 - STRAY) * softmax(-0.5 * np.square(_OCTAVES / SPREAD), axis=1) + STRAY / len(SIZES)
 _LOG_AROUND = np.log(AROUND)
 
+Weighed = tuple[Key, float]  # a set with its likeliest sizes, and its log posterior odds against nothing
+
 
 class Search:
     """The sets of blocks of one linearized problem;  total : weight of all blocks, where these are some of them"""
@@ -144,9 +146,9 @@ class Search:
         order = np.argsort(shares, kind="stable")
         return sorted({*order[np.cumsum(shares[order]) > NEGLIGIBLE * (1.0 + shares.sum())].tolist(), *top.blocks})
 
-    def walk(self, top: State, generator: np.random.Generator) -> tuple[list[tuple[Key, float]], Counter[Key]]:
-        """The sets that matter, likeliest first, with their likeliest sizes and log posterior odds against nothing, and
-        draws of sets (one for each tenth of a set that was moved), from a set to start from."""
+    def walk(self, top: State, generator: np.random.Generator) -> tuple[list[Weighed], Counter[Key]]:
+        """The sets that matter, likeliest first, and draws of sets (one for each tenth of a set that was moved), from a
+        set to start from."""
         state, steps, odds, visits, draws = top, dict[Key, Array](), dict[Key, float](), Counter[Key](), Counter[Key]()
         for move in range(MOVES):
             taken = int(generator.integers(len(state.key) + 1))

@@ -1,8 +1,6 @@
 """The cells of the blind study, in the plane and in space: how arm, postures, noise and hidden effects of each data set
 are drawn. Plain numpy, no model."""
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
