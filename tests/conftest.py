@@ -1,7 +1,5 @@
 """What every test runs under: one BLAS thread, and examples that repeat."""
 
-from __future__ import annotations
-
 import gc
 import os
 import signal

@@ -4,8 +4,6 @@
 on each, and prints how many were noticed and which were not.
 """
 
-from __future__ import annotations
-
 import argparse
 import ast
 import os

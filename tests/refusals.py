@@ -1,7 +1,5 @@
 """What every refusal is: one line that names the place, what was found and what is allowed."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import pytest

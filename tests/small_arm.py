@@ -5,8 +5,6 @@ its geometry the arm has compliant joints, play that gravity pushes to one side,
 posture has a further error of its own, which its three reflectors share.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

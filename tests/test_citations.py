@@ -1,7 +1,5 @@
 """What is cited exists: Markdown files, headings, links, modules and paths named in code, tests, notebooks, READMEs."""
 
-from __future__ import annotations
-
 import ast
 import json
 import re

@@ -1,7 +1,5 @@
 """The house: imports go down only, files stay readable, no other visible top-level name, CI runs the README."""
 
-from __future__ import annotations
-
 import ast
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """What files may not do: run code, reach out of their folder, grow without end, or put markup into a page."""
 
-from __future__ import annotations
-
 import ast
 import os
 import subprocess

@@ -9,8 +9,6 @@ residual r against no effect is mean_s exp(r . x_s - |x_s|^2 / 2), x_s = lambda 
 such columns.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace

@@ -5,8 +5,6 @@ of 30 postures are made by `armcal design` from each robot's URDF, five seeds ea
 and every straight joint move at 400 places, is looked at for collisions of links that no joint connects.
 """
 
-from __future__ import annotations
-
 import csv
 import json
 import math

@@ -4,8 +4,6 @@ What is asked after every kill is in `tests/doe/faults.py`: whole files, no proc
 gives the bits of one that was not disturbed.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

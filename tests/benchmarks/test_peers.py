@@ -8,8 +8,6 @@ ARMCAL_PEERS_SECONDS (600). Rows of a UR10: all of series A and C where they are
 ARMCAL_UR10, else the samples in tests/data/ur10. Without `-m benchmark` what judges the answers is tested.
 """
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

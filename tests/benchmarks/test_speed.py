@@ -5,8 +5,6 @@ times against bars of an idle machine, longer on a slower one (`YARDSTICK`). `--
 another checkout, the two in turn, and asserts that none has become slower by more than a tenth.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

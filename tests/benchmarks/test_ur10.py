@@ -3,8 +3,6 @@
 Some minutes of one core each. Series A and C, whole, are looked for in ../shared/data beside the checkout.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The arms of the issue's tables."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any

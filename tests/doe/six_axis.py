@@ -1,7 +1,5 @@
 """A UR10-like arm to design for, and the information of its plans from products of exponentials in plain numpy."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

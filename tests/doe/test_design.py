@@ -1,7 +1,5 @@
 """A design's figures and its JSON, recomputed from the stored problem."""
 
-from __future__ import annotations
-
 import json
 import pickle
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Strategies of whole cases: a verb with options, right and wrong, and the files that it is given."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import click

@@ -1,7 +1,5 @@
 """Random files: what armcal wrote of small arms, with what people add to it, change in it and get wrong."""
 
-from __future__ import annotations
-
 import csv
 import json
 import re

@@ -1,7 +1,5 @@
 """What is promised of every outcome, and which promise an outcome breaks."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

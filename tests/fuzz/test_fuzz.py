@@ -1,8 +1,6 @@
 """A few hundred random inputs: files, and commands that take little time; every verb: `pytest -m slow tests/fuzz`, as
 many inputs as the profile says, and with `--hypothesis-show-statistics` a table of what became of them."""
 
-from __future__ import annotations
-
 import signal
 import warnings
 from collections.abc import Callable, Iterator

@@ -1,8 +1,6 @@
 """A six-axis arm as a product of exponentials: an independent simulator without frames of joints or corrections; and
 postures at which it touches a surface or a cup: Newton steps on differences, all postures at once."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

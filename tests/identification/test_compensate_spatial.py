@@ -1,7 +1,5 @@
 """Compensation in space, against plain products of matrices: six axes and a slide, a target out of reach, limits."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Capsules and boxes contain what they cover, and little more."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st

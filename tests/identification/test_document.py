@@ -1,7 +1,5 @@
 """A document in its renderings: nothing is lost, nothing is taken for markup, wherever it is shown."""
 
-from __future__ import annotations
-
 import math
 from html.parser import HTMLParser
 

@@ -1,7 +1,5 @@
 """What an arm offers to designs: points by an independent chain, postures that touch, nothing of the arm inside."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Rank, covariance and the names of what cannot be distinguished."""
 
-from __future__ import annotations
-
 import copy
 import pickle
 from collections.abc import Callable

@@ -6,8 +6,6 @@ and two tilts: 24. On a plane nothing has a length: an arm twice as large, twice
 postures: 23.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The one least-squares engine against scipy, brute force, and one problem at a time; on functions of our own."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Directions and time that follow from the order of measurement."""
 
-from __future__ import annotations
-
 import pickle
 from dataclasses import replace
 

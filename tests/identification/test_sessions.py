@@ -1,7 +1,5 @@
 """Several sessions: pooled tables, and a base for each session, against complex numbers."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Names that may be meant: misspelt ones, and parts of them."""
 
-from __future__ import annotations
-
 import pytest
 
 from identification import library

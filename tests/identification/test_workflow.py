@@ -1,8 +1,6 @@
 """The verbs of identification as functions of Python: files in, files out, and the result behind the answer; and files
 of a campaign as one document, without the plans that another package adds."""
 
-from __future__ import annotations
-
 import inspect
 import sys
 import warnings

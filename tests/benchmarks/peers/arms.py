@@ -1,7 +1,5 @@
 """The arms that tools are compared on, and what their answers are worth: plain numpy, nothing of armcal or a peer."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

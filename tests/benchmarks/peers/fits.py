@@ -5,8 +5,6 @@ start from nothing, the others from `placed`, which is not timed. Each answers w
 space at q = 0, and the measured point there: whoever judges them needs nothing else (arms.Screws).
 """
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Callable
 from functools import partial

@@ -3,8 +3,6 @@
 No package registry has the executable itself; where one is on the path, that is used instead.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

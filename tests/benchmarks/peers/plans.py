@@ -3,8 +3,6 @@
 EXACT: each tool offers plans (m, n) [rad] until its time is up. WEIGHTS: each weighs the candidates of a planar grid.
 """
 
-from __future__ import annotations
-
 import random
 import shutil
 import sys

@@ -4,8 +4,6 @@ The process: `python -m tests.benchmarks.peers.table JOB.json ANSWER.npz`. Its c
 imports out; the peak of memory counts everything, the interpreter too.
 """
 
-from __future__ import annotations
-
 import importlib
 import importlib.metadata
 import json

@@ -1,8 +1,6 @@
 """Branch and bound on trigonometric polynomials against dense sampling and known maxima; and the sensitivity as one,
 where the model allows, None where it does not."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import product
 

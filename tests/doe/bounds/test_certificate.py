@@ -1,8 +1,6 @@
 """The equivalence theorem and its bounds: what is recomputed, and what is not believed. A design that is better than
 its numerical bound shows that the bound is wrong: it is never reported."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Column generation against closed forms, textbooks, brute force and the equivalence theorem."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import combinations_with_replacement
 

@@ -1,8 +1,6 @@
 """The closed-form optimum, against complex arithmetic, the factorial that attains it, and rivals of it; and plans from
 theory, which attain it: checked by complex arithmetic, limits by comparison."""
 
-from __future__ import annotations
-
 from itertools import product
 
 import numpy as np

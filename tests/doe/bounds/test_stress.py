@@ -4,8 +4,6 @@ Oracle: with E = exp(i(q_1 + .. + q_j)) of the postures and G = E^H W E, log det
 since M' = [[Re G, -Im G], [Im G, Re G]] in lengths and orientations.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,7 +1,5 @@
 """Weights on few postures: textbook optima, other solvers, the equivalence theorem; Caratheodory's reduction."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,7 +1,5 @@
 """A folder with the files of a small loop, and ways to call `armcal` as a user does."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The first command of the README: it must work for a stranger, and its page must show what it says."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

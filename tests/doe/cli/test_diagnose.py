@@ -1,7 +1,5 @@
 """`armcal diagnose`: what is confirmed, what is not, what is written; and several sessions of one arm."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

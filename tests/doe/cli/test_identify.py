@@ -1,7 +1,5 @@
 """`armcal check` and `armcal identify`: what is said first, priors, what stays as it was, rows that are left out."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 

@@ -1,7 +1,5 @@
 """`armcal init` as a user runs it: what it writes is read by the other verbs, and says what is made up."""
 
-from __future__ import annotations
-
 import json
 import re
 import tomllib

@@ -1,7 +1,5 @@
 """Commands killed, short of disk, or not alone: a few of each; many: tests/benchmarks/test_faults.py."""
 
-from __future__ import annotations
-
 import json
 import os
 import resource

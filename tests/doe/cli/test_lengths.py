@@ -1,7 +1,5 @@
 """A ball bar and touch probes from the command line: the whole loop, and what is refused, in one line each."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The loop of commands as a user's script runs it, with the JSON keys it reads."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import re

@@ -1,7 +1,5 @@
 """`armcal design` with moves: ways round what is in the way, the side of approach, and who reads what it writes."""
 
-from __future__ import annotations
-
 import csv
 import re
 import warnings

@@ -1,7 +1,5 @@
 """Whatever cannot be done ends in exit code 2 and one line that names the place; nothing is written."""
 
-from __future__ import annotations
-
 import os
 import re
 from pathlib import Path

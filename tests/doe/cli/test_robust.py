@@ -1,7 +1,5 @@
 """`--robust` on the command line: plans, weights, scores, and what is refused."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

@@ -1,7 +1,5 @@
 """Spatial arms from the command line: a UR10 as it was measured, and an arm of a URDF file whose truth is known."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 from importlib import import_module

@@ -1,7 +1,5 @@
 """What all verbs share: options by a signature, help, files, streams, progress, signals, and a read-only system."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """What every criterion must be: its formula, exact derivatives, concave, with bounds that hold and are tight."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings

@@ -1,7 +1,5 @@
 """The loop of the spatial demo on what it hides."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Discriminating plans: little D-efficiency lost, effects visible; both recomputed here from the formulas."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import combinations, pairwise
 from typing import Any

@@ -1,7 +1,5 @@
 """The next postures: the noncentrality by brute-force refits, the constraints, and that data resolve an ambiguity."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache

@@ -3,8 +3,6 @@
 Tables: nothing finished is lost, nothing is overwritten unasked, floats survive to the bit.
 """
 
-from __future__ import annotations
-
 import logging
 import multiprocessing
 import os

@@ -1,7 +1,5 @@
 """Tasks for the tests of executors: functions that workers import by name."""
 
-from __future__ import annotations
-
 import os
 import re
 import signal

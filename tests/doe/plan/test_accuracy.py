@@ -1,7 +1,5 @@
 """Expected deviations, against the closed forms of an optimal plan and against simulated least squares."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import product
 

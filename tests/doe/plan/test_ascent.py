@@ -1,7 +1,5 @@
 """Plans that climb: slopes by finite differences, ends where nothing gains, feasible ends, and against scipy."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Plans of arms with bodies as they are driven: moves sampled a hundred times finer than they were proven."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise, permutations
 from pathlib import Path

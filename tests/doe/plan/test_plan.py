@@ -1,7 +1,5 @@
 """Plan files: rows in the order of measurement, weights of approximate designs, exact round trips."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import combinations, pairwise, permutations
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Designs for arms whose model may lack effects: prior and criterion against the mathematics, written again."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import combinations
 

@@ -1,7 +1,5 @@
 """Clearance against points sampled along axes, differences, and bodies whose distance is known in closed form."""
 
-from __future__ import annotations
-
 from contextlib import nullcontext
 from dataclasses import replace
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Constraints: margins against brute-force geometry, derivatives by differences, diagnosis of none."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import casadi as ca

@@ -1,7 +1,5 @@
 """What is known before the new runs enters every information matrix: against the mean over all rows."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from itertools import combinations, product

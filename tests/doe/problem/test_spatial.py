@@ -1,7 +1,5 @@
 """Designs of spatial arms: the prior of machining, the minimal set, measured points that are not known."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

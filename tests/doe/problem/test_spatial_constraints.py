@@ -1,7 +1,5 @@
 """Constraints of space against brute force: points along links from products of exponentials."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 

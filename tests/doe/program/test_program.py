@@ -1,7 +1,5 @@
 """Programs of controllers, read back by grammars of their languages that the templates know nothing of."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A browser that opens pages as a reader does: Debian's Chromium, driven by Playwright; skipped where there is none."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Iterator
 from typing import Any

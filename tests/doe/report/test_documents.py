@@ -1,7 +1,5 @@
 """The document of every result: whole in a terminal of 80 columns, in a notebook and on a page."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Pages in a real browser: they need no network, fit a phone, and a plan can be stepped through and edited in them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any

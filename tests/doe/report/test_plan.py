@@ -1,7 +1,5 @@
 """What a person reads of a plan, and what a page gets of it to compute log det and to write its file."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The cell in three dimensions: the script has the model's kinematics; a reader steps, plays, strikes out, prints."""
 
-from __future__ import annotations
-
 import io
 import re
 from base64 import b64decode

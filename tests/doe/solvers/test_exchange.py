@@ -1,7 +1,5 @@
 """Exchange: its gains against direct evaluation, its ends against brute force."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import combinations, combinations_with_replacement
 

@@ -1,7 +1,5 @@
 """IPOPT: limits, stationarity of its ends, the same maximum as scipy from the same start."""
 
-from __future__ import annotations
-
 import signal
 import threading
 import time

@@ -1,7 +1,5 @@
 """The door: the same seed gives the same plan, and what is no problem, plan or solver is refused."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace

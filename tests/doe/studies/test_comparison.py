@@ -1,7 +1,5 @@
 """Comparison of solvers: rows evaluated by the problem, summaries counted by hand."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from functools import partial

@@ -1,7 +1,5 @@
 """Monte Carlo studies: against the paper's formulas, plain loops, and themselves on other workers."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -5,8 +5,6 @@ Compensation: the commands are checked on the calibrated model and against two-l
 A pan-tilt unit: two joints reach a surface, and no measured position lies on it exactly.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cache
 

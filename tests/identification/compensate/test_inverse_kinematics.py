@@ -6,8 +6,6 @@ Targets that many starts are tried for: those that a constraint bars by themselv
 Postures at targets from nominal ones, and without: turns, the middle of the angles, limits far away.
 """
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """What a person reads of a diagnosis: the verdict, what follows from it, and the tables, by its JSON object."""
 
-from __future__ import annotations
-
 from functools import cache
 from pathlib import Path
 from typing import Any

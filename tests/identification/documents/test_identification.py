@@ -1,7 +1,5 @@
 """What a person reads of fits, validations and commands: nothing is lost, and what is not known is said."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,8 +1,6 @@
 """The library as a whole: its catalogue, typical sizes, columns of every effect; effects of one's own and of installed
 packages, found by their entry point; a broken one is one line that names it."""
 
-from __future__ import annotations
-
 import inspect
 import re
 import tomllib

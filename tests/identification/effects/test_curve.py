@@ -1,7 +1,5 @@
 """Smooth functions of a joint's angle, and the error curve in a model: positions, Jacobians, files, every use."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A constant in all measured distances: its derivative and what it moves by hand, and that fits find it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import product
 

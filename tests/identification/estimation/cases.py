@@ -1,7 +1,5 @@
 """What the tests of the estimators share: arms, plans, and simulated data with a fixed generator."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

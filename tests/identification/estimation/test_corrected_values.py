@@ -3,8 +3,6 @@
 The corrected Denavit-Hartenberg table of a fit: it computes what the fit does, with deviations of its covariance.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from pathlib import Path

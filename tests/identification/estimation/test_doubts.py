@@ -3,8 +3,6 @@
 Closed form and search against scipy for models with effects, bounds, poor starts; and complex arithmetic.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

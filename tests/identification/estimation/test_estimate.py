@@ -4,8 +4,6 @@ Any fit repeated without its outliers: the rows left out, and the fit to the oth
 on its own, against one fit at a time.
 """
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

@@ -1,8 +1,6 @@
 """How far the tip may be off: against complex exponentials written out, against repeated experiments, and said; and
 postures left out by leverages, against fits without them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

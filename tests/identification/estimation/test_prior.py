@@ -3,8 +3,6 @@
 Restricted likelihood of noise and sizes against dense matrices and SciPy.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import product
 

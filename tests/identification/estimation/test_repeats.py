@@ -1,7 +1,5 @@
 """The noise floor and the lack of fit that repeats of one posture tell, and what is left against a given sigma."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -7,8 +7,6 @@ In space: where a fit ends, the step that is left, (J^T J)^-1 J^T r, is nothing 
 roots of sigma^2 diag (J^T J)^-1.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st

@@ -4,8 +4,6 @@ The clustered sandwich against textbook formulas, dense matrices from the defini
 a model does not explain: found whatever holds its parameters.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

@@ -1,7 +1,5 @@
 """Arm files (identification/files/README.md, "Arm file"): what is read, exact round trips, comments kept."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import tomllib

@@ -1,7 +1,5 @@
 """Bodies of arm files and of URDF files: where they are, what is read, and from where nothing is."""
 
-from __future__ import annotations
-
 import pickle
 import re
 import struct

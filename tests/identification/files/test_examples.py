@@ -1,7 +1,5 @@
 """identification/files/README.md: its examples are files that load, and every JSON key stands on the page."""
 
-from __future__ import annotations
-
 import ast
 import re
 import tomllib

@@ -1,7 +1,5 @@
 """All or nothing is written; TOML and CSV are read as people and programs save them; what is wrong is one line."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import tomllib

@@ -1,8 +1,6 @@
 """Files of measurements, plans and targets (identification/files/README.md): exact round trips, what the order says,
 instruments that read no positions, and one line for what cannot be."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Every key of an arm file, spoilt in every way: one line that names it, says what was found and what is allowed."""
 
-from __future__ import annotations
-
 import copy
 import datetime
 import tomllib

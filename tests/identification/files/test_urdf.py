@@ -1,7 +1,5 @@
 """URDF files: what is read (see also tests/identification/kinematics/test_spatial.py), written back, and refused."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

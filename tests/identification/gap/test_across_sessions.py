@@ -1,7 +1,5 @@
 """What returns in another session: simulated in complex numbers, judged as a reader of the definition would."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

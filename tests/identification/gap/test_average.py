@@ -1,8 +1,6 @@
 """The averaged model against draws from the posterior, in which every explanation is a dense regression of all rows;
 and names of curves."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,8 +1,6 @@
 """The dictionary: its effects and their weights; and columns, a user's own effects among them, against differences of
 models that have the effect."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import ClassVar

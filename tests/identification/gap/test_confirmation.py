@@ -1,7 +1,5 @@
 """The test that confirms or refutes a named model by rows that were not used."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

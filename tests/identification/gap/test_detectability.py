@@ -1,7 +1,5 @@
 """What a plan can show, before data."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import stats

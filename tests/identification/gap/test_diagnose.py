@@ -1,7 +1,5 @@
 """The workflow as a whole: verdicts, JSON keys, bad input."""
 
-from __future__ import annotations
-
 import tomllib
 from dataclasses import replace
 from functools import cache

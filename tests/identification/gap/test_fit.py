@@ -1,7 +1,5 @@
 """Bounded, weighted least squares against scipy, rows made white, and the same numbers as `estimate` states."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partialmethod
 

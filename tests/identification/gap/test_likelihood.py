@@ -1,7 +1,5 @@
 """Marginal likelihoods of blocks against covariances of all rows, quadrature over sigma, and least squares."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.integrate import quad

@@ -1,7 +1,5 @@
 """Which noise the rows have."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from identification import Arm, Measurements, Model, diagnose

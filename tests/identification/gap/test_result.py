@@ -1,7 +1,5 @@
 """The verdict follows from the probabilities, whatever they are."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The search against the enumeration of all sets of a small dictionary."""
 
-from __future__ import annotations
-
 from itertools import combinations, product
 from random import Random
 

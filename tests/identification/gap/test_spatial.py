@@ -1,7 +1,5 @@
 """Effects hidden in a spatial arm, by a simulator of another parametrization, and found again."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

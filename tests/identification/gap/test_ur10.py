@@ -1,7 +1,5 @@
 """Real data: the planar cut of a UR10. A sample, in tests/data/ur10_planar."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

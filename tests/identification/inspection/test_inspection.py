@@ -1,7 +1,5 @@
 """What `inspect` says of data: each fault on purpose has its sentence, and good data have none."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

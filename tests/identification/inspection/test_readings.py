@@ -1,7 +1,5 @@
 """Ways to read the columns: what was changed in data on purpose is found, and nothing is said of data as they are."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable
 from dataclasses import replace

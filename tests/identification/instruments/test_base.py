@@ -1,7 +1,5 @@
 """Parameters of the base that no reading of an instrument shows, and bases of later sessions."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import casadi as ca

@@ -3,8 +3,6 @@
 Arms are products of exponentials; postures are led to the cups by differences, with the noise of each seating.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from itertools import combinations

@@ -1,7 +1,5 @@
 """How a controller counts: the formula as a recursion, its reverse, what no controller has; whole turns, ranges."""
 
-from __future__ import annotations
-
 import pickle
 from dataclasses import replace
 from pathlib import Path

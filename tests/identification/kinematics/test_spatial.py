@@ -1,7 +1,5 @@
 """Chains against products of exponentials, complex numbers, printed tables and pinocchio; sets of their parameters."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from pathlib import Path

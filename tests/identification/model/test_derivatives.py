@@ -1,7 +1,5 @@
 """Models in space with many effects: derivatives, torques, the planar arm as one whose axes are parallel, sharing."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import replace
 

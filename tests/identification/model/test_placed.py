@@ -1,7 +1,5 @@
 """Base and measured points of spatial arms from nothing, minimal sets of parameters, positions of arms with lengths."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

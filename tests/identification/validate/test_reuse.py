@@ -1,8 +1,6 @@
 """Some parameters anew against least squares with the other columns deleted; an earlier calibration as the prior
 against the joint fit of both data sets, written with numpy for models that are linear."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

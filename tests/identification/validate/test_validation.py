@@ -3,8 +3,6 @@
 A model that is offered beside the geometry alone: figures of `validate`, and what no effect gains.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

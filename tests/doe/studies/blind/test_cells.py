@@ -2,8 +2,6 @@
 independent oracle. Sizes are those of the program's model at the true values, off its own Jacobian by least squares.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

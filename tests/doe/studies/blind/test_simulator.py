@@ -1,7 +1,5 @@
 """The two implementations of arms and effects agree: products of exponentials in plain numpy, and frames in CasADi."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from dataclasses import replace

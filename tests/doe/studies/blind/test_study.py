@@ -1,8 +1,6 @@
 """The blind study: scoring by hand, the tasks' bookkeeping, and a study of two sets of each of three cells, whose bars
 no more than two standard errors may miss; the full study is `armcal study blind`."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Iterator
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The library as a prior: what is in it, under which names, and with which standard deviations."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import casadi as ca
