@@ -165,9 +165,10 @@ class Clearance:
 
     def _in_box(self, points: Array, box: NDArray[np.intp]) -> Array:
         """(3, ..., W) points (3, ..., W) along the axes of boxes (W,), from their centers."""
-        centers, turned = self._boxes[box, :3].T, self._boxes[box, 3:12].reshape(-1, 3, 3)
-        shifted = points - centers.reshape(3, *np.ones(points.ndim - 2, dtype=int), -1)
-        return np.einsum("wij,i...w->j...w", turned, shifted)
+        centers, turned, ones = self._boxes[box, :3].T, self._boxes[box, 3:12].T, np.ones(points.ndim - 2, dtype=int)
+        return dot(
+            turned.reshape(3, 3, *ones, -1), points - centers.reshape(3, *ones, -1)
+        )  # einsum takes 8 times as long
 
     def _witness(self, placed: Array, run: NDArray[np.intp], piece: NDArray[np.intp]) -> tuple[Array, Array, Array]:
         """(N,) distances of N pairs of pieces, each at one of the postures, (N,) shares of the way along the axis of
@@ -182,7 +183,7 @@ class Clearance:
             start, end, half = self._in_box(a[:, walls], box), self._in_box(b[:, walls], box), self._boxes[box, 12:].T
             share[walls], along_sides = nearest_to_box(start, end, half)
             distance[walls] = from_box(start + share[walls] * (end - start), half)
-            away[:, walls] = np.einsum("wij,jw->iw", self._boxes[box, 3:12].reshape(-1, 3, 3), along_sides)
+            away[:, walls] = dot(self._boxes[box, 3:12].reshape(-1, 3, 3).T, along_sides)
         return distance - self._radii[first] - self._radii[second], share, away
 
     # -- derivatives, as `doe.problem.constraints.Derivatives` has those of expressions --------------------------------
