@@ -16,8 +16,8 @@ as long as nothing is found in their way at a few places (L. Kavraki, P. Svestka
 "Probabilistic roadmaps for path planning in high-dimensional configuration spaces", IEEE Trans. Robotics and Automation
 12 (1996) 566-580). The route is the shortest open path through all postures along the map. Only its moves are proven;
 those that collide leave the map, and the route is sought again (R. Bohlin, L. Kavraki, "Path planning using lazy PRM",
-ICRA 2000). At last the bends go that the straight move does without. A posture to which no free way leads is replaced
-by the best, by the criterion, of random ones to which one does.
+ICRA 2000). At last it is pulled tight. A posture to which no free way leads is replaced by the best, by the criterion,
+of random ones to which one does.
 
 *The order of measurement* changes no information, but travel time and what drift can hide. The shortest joint travel is
 a travelling salesman's open path, whose edges cost the time that the slowest joint needs. From many starts two edges
@@ -146,8 +146,8 @@ def route(
     keep_order : the postures stay in their order
     stop : ends the search; moves that are left unproven then may collide
 
-    The map gets random nodes if straight moves are much longer than with nothing in the way, and again, from a wider
-    and wider space, as long as some posture is not reached.
+    The map gets random nodes as long as moves are much longer than with nothing in the way, or some posture is not
+    reached, from a wider and wider space.
     """
     from scipy.sparse.csgraph import dijkstra
 
@@ -208,12 +208,16 @@ def route(
         missing = np.flatnonzero(label != np.bincount(label).argmax())
         if stop() or (not len(missing) and sum(room.length(nodes[way]) for way in ways) <= enough):
             break
-        enough = np.inf
+        enough *= 1.15  # less and less is asked
     steps = [nodes[aims[order[:1]]]]
-    for step in (nodes[way] for way in ways):  # bends go where the straight move is free, too
-        for bend in range(len(step) - 2, 0, -1):
-            if room.free(step[bend - 1 : bend], step[bend + 1 : bend + 2]).all():
-                step = np.delete(step, bend, axis=0)
+    for step in (nodes[way] for way in ways):  # bends go nearer to straight lines, or go, as far as moves stay free
+        for share in (1.0, 0.7, 0.5):  # of the way from a bend to the straight line
+            for bend in range(len(step) - 2, 0, -1):
+                first, here, last = step[bend - 1 : bend + 2]
+                nearer = here + share * (0.5 * (first + last) - here)
+                if room.free(np.array([first, nearer]), np.array([nearer, last])).all():
+                    step[bend] = nearer
+                    step = np.delete(step, bend, axis=0) if share == 1.0 else step
         steps.append(step[1:])
     alike = np.all(nodes[aims] == postures, axis=1)
     steps = [step if alike[row] else np.vstack([step, postures[row]]) for step, row in zip(steps, order, strict=True)]
