@@ -118,11 +118,11 @@ def as_model(posterior: Posterior, coordinates: int) -> tuple[PredictingModel, A
         bounded |= zip(numbers_of[effect.label].tolist(), effect.parameters, strict=True)
     for k, parameter in bounded.items():
         lower[k], upper[k] = parameter.lower, parameter.upper
-    drawn, held = mean, np.zeros(len(mean), dtype=bool)
+    free, held = mean, np.zeros(len(mean), dtype=bool)
     while np.any(beyond := (mean < lower) | (mean > upper)):
         held, ends = held | beyond, np.clip(mean, lower, upper)
-        share = np.linalg.pinv(covariance[np.ix_(held, held)], hermitian=True) @ (ends - drawn)[held]
-        mean = np.where(held, ends, drawn + covariance[:, held] @ share)
+        share = np.linalg.pinv(covariance[np.ix_(held, held)], hermitian=True) @ (ends - free)[held]
+        mean = np.where(held, ends, free + covariance[:, held] @ share)
 
     def of_effects(blocks: Sequence[Block]) -> tuple[Model, Index]:
         """The model with these effects, and the numbers of its parameters among all."""

@@ -139,6 +139,13 @@ def plan_of(folder: Path, arm: str, seed: int, *more: str) -> tuple[dict[str, An
     return json.loads(done.stdout), angles, [row.get("kind", "measure") for row in rows], seconds
 
 
+def collisions(judge: Judge, rows: np.ndarray, kinds: list[str]) -> tuple[int, int]:
+    """How many of the postures that are measured, and of the moves from row to row, collide."""
+    ways = (np.linspace(start, end, PLACES) for start, end in pairwise(rows))
+    hits = sum(judge.collides(q) for q, kind in zip(rows, kinds, strict=True) if kind == "measure")
+    return hits, sum(any(map(judge.collides, way)) for way in ways)
+
+
 @pytest.fixture(params=ROBOTS)
 def robot(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[str, Judge, str]:
     """Name, its judge, and the tables of its arm file, whose URDF is beside it."""
@@ -161,9 +168,7 @@ def test_no_posture_and_no_move_collides(
     for seed in SEEDS:
         plan, rows, kinds, seconds = plan_of(tmp_path, head + (floor or "\n[cell]\nclearance_mm = 0.0\n"), seed)
         bare, bare_rows, _, bare_seconds = plan_of(tmp_path, head + "\n[cell]\nbodies_of_urdf = false\n", seed)
-        hits = sum(judge.collides(q) for q, kind in zip(rows, kinds, strict=True) if kind == "measure")
-        ways = (np.linspace(start, end, PLACES) for start, end in pairwise(rows))
-        moves, before = sum(any(map(judge.collides, way)) for way in ways), sum(map(judge.collides, bare_rows))
+        (hits, moves), before = collisions(judge, rows, kinds), sum(map(judge.collides, bare_rows))
         p = DesignProblem.of(Model(load_arm(tmp_path / "arm.toml"))).parameters
         efficiency = math.exp((plan["log_det"] - bare["log_det"]) / p)
         longer = plan["travel_deg"]["after"] / plan["moves"]["shortest_deg"] if plan["moves"] else math.inf
@@ -174,6 +179,20 @@ def test_no_posture_and_no_move_collides(
         )
         if hits or moves or efficiency < least or longer > 1.3:
             wrong.append(seed)
+    assert not wrong
+
+
+@pytest.mark.parametrize("robot", ["UR10"], indirect=True)
+def test_robust_plans_are_free_and_short(robot: tuple[str, Judge, str], tmp_path: Path) -> None:
+    name, judge, head = robot
+    wrong = []
+    for seed in SEEDS:
+        plan, rows, kinds, seconds = plan_of(tmp_path, head, seed, "--robust")
+        hits, moves = collisions(judge, rows, kinds)
+        longer = plan["travel_deg"]["after"] / plan["moves"]["shortest_deg"]
+        found = f"{hits} postures and {moves} moves collide, {kinds.count('via')} via, travel {longer:.2f} times"
+        print(f"\n{name}, --robust, seed {seed}: {found} the shortest, {seconds:.1f} s of a processor")
+        wrong += [seed] if hits or moves or longer > 1.3 else []
     assert not wrong
 
 
