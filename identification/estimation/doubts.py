@@ -36,6 +36,7 @@ OTHER_FRAME = "the data are in another frame than the arm"
 # uncertain by more than 35 %. At the level 0.005 an effect of one parameter needs lambda = 11 with 4, 22 with 3
 SPARE = 4
 UNUSUAL = 8.0  # times the machining's sizes, from which a mistake is likelier than such an arm
+TELLS = " armcal check tells"  # the end of sentences that ask
 FEW = "too few measurements"  # the beginning of that sentence
 
 
@@ -62,7 +63,7 @@ def far_off(residual: Array, model: Model) -> list[str]:
     noise, scale = getattr(arm, "sigma", None) or 0.0, arm.chain.angle_scale if arm else None
     if scale and (turned := rms_distance(residual[:, POINT.stop :]) / scale) > max(FAR, 2.0 * noise * 3**0.5 / scale):
         leaves = f"the fit leaves orientations {np.degrees(turned):.3g} deg off, RMS"
-        return [f"implausible: {leaves}; other axes or units, or another order of the angles? armcal check tells"]
+        return [f"implausible: {leaves}; other axes or units, or another order of the angles?{TELLS}"]
     if left <= max(FAR * reach, 2.0 * noise * np.sqrt(model.dimension)):
         return []
     share = f"{100.0 * left / reach:.0f} % of the reach"
@@ -93,7 +94,7 @@ def far_from_drawing(arm: Arm, width: float, of_zeros: float) -> list[str]:
     """Sizes of the machining that the prior was taken with: so many times those of the arm file, and of zeros of joints
     so many times more."""
     rotation, translation = f"{np.degrees(arm.machining.rotation):g} deg", f"{arm.machining.translation:g} mm"
-    ask = "; are units, order and signs of joints and coordinates right? armcal check tells"
+    ask = f"; are units, order and signs of joints and coordinates right?{TELLS}"
     sizes = f"than [machining] says ({translation} and {rotation}): taken {width:g} times as large"
     zeros = f"than [machining] says ({rotation}): taken as {width * of_zeros:g} times as large"
     why = "as where a motor was changed or a drawing counts from elsewhere"
@@ -154,7 +155,7 @@ def flipped(model: Model, parameters: Array, identifiable: NDArray[np.bool_]) ->
         comparison = f"link {p.joint} of {length:g} mm comes out {length + value:.4g} mm long"
         return [f"implausible: {comparison}; another arm, frame or unit?"]
     correction = f"{p.name} comes out as {value * p.to_file:.4g} {p.file_unit}"
-    return [f"implausible: {correction}; other units, joints in another order or with another sign? armcal check tells"]
+    return [f"implausible: {correction}; other units, joints in another order or with another sign?{TELLS}"]
 
 
 def another_frame(model: Model, measurements: Measurements) -> list[str]:

@@ -19,7 +19,15 @@ from identification.documents.identification import MISFIT
 from identification.errors import InputError
 from identification.estimation import Identification, doubts, estimate
 from identification.estimation.repeats import NoiseFloor, noise_floor, with_repeats_doubted
-from identification.inspection.readings import DRAWN, Reading, Readings, data_warnings, gap_notes, read_differently
+from identification.inspection.readings import (
+    CLEARLY,
+    DRAWN,
+    Reading,
+    Readings,
+    data_warnings,
+    gap_notes,
+    read_differently,
+)
 from identification.kinematics.chain import BASE
 from identification.kinematics.frames import pose_table
 from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, REVOLUTE, Parameter
@@ -85,6 +93,9 @@ def inspect(arm: Arm, measurements: Measurements) -> Inspection:
     (joints, ranges, notes), drawing = _ranges(arm, measurements.postures), readings.written.rms
     with suppress(InputError):  # too few rows for least squares
         drawing = rms_distance(drawing_residuals(arm, measurements))
+    if fit is not None and readings.better is None and (_asked(fit) or CLEARLY * fit.rms_after > drawing):
+        closer = read_differently(arm, measurements, doubted=True)
+        readings = closer if closer.explained else readings
     problems = units or _problems(arm, measurements, readings, drawing, fit)
     problems += doubts.copied_rows(measurements) + ([] if units else doubts.outside_limits(arm, measurements))
     notes = [] if units else notes  # what the data cannot say
@@ -178,10 +189,17 @@ def _problems(
         names = "columns, units or markers" if measurements.marker_names else "columns or units"
         mixed = f"look for {names} that changed, or an instrument that moved"
         return [f"{left}, so that no geometry explains these rows: {mixed}"]
+    if asked := _asked(fit):
+        return asked
     if fit.dof <= 0:  # it leaves little whatever the data are
         numbers, unknowns = fit.residuals_after.size, len(fit.names)
         return [f"{doubts.FEW}: {numbers} numbers for {unknowns} unknowns. Measure more postures"]
     return [sentence for sentence in doubts.hardly_determined(fit) if sentence.startswith(doubts.FEW)]
+
+
+def _asked(fit: Identification) -> list[str]:
+    """What a fit has to ask of the data."""
+    return [doubt.removesuffix(doubts.TELLS) for doubt in fit.doubts if doubt.endswith(doubts.TELLS)]
 
 
 def _ranges(arm: Arm, postures: Array) -> tuple[list[dict[str, Any]], list[list[str]], list[str]]:

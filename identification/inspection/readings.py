@@ -8,7 +8,7 @@ way to read the columns the base (and in space the measured point) is fitted to 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
-from itertools import accumulate, combinations, pairwise
+from itertools import accumulate, combinations, pairwise, product
 from typing import Any, Self
 
 import numpy as np
@@ -195,26 +195,28 @@ class Readings:
 
 
 # -- the search --------------------------------------------------------------------------------------------------------
-def read_differently(arm: Arm, measurements: Measurements, *, search: bool = True) -> Readings:
+def read_differently(arm: Arm, measurements: Measurements, *, search: bool = True, doubted: bool = False) -> Readings:
     """Look for another way to read the columns that explains the positions clearly better (`CLEARLY`).
 
     Tried are other units, then zeros of joints at any angle, then one change after another of the readings that leave
     least: signs, pairs of swapped columns, zeros off by quarter turns, joints that are counted from farther back than
-    the link before, a mirrored frame. With few rows nothing is tried. Where a spatial arm stands and what is measured
-    on it are fitted. Raises `InputError` if the numbers of joints differ.
+    the link before, a mirrored frame; and all signs together, whatever is counted from where. With few rows nothing is
+    tried. Where a spatial arm stands and what is measured on it are fitted. Raises `InputError` if the numbers of
+    joints differ.
 
     search : False: for units only
+    doubted : a fit of the columns as they are is no good, so that `DRAWN` of the reach is too much
     """
     joints = f"found {measurements.links} joints, allowed: {arm.links}, as the arm has"
     require(measurements.links == arm.links, f"measurements: {joints}")
     # as drawn, where it stands left open, and in space what is measured on it
     chain = replace(type(arm.chain)(arm.chain.joints, arm.chain.end), settled=arm.chain.drawn & {TOOL})
     chain = replace(chain, instrument=arm.chain.instrument.without_targets())
-    return _of_drawing(replace(arm, chain=chain), measurements, search)
+    return _of_drawing(replace(arm, chain=chain), measurements, search, doubted)
 
 
 @lru_cache(maxsize=4)  # asked for before a fit, and again for its warnings, of the arm that was placed for it
-def _of_drawing(arm: Arm, measurements: Measurements, search: bool) -> Readings:
+def _of_drawing(arm: Arm, measurements: Measurements, search: bool, doubted: bool) -> Readings:
     """`read_differently` of an arm as drawn."""
     chain, kinds, (q, x, few) = arm.chain, arm.joint_types, _rows(arm, measurements)
     slides, frames_at = np.array([kind == PRISMATIC for kind in kinds]), chain.frames_at({})
@@ -283,7 +285,8 @@ def _of_drawing(arm: Arm, measurements: Measurements, search: bool) -> Readings:
         return Readings(written)
 
     written = placed(written)
-    hopeless = 2.0 * max(DRAWN * arm.reach, written.rms / CLEARLY)  # twice what may be left
+    enough = min(DRAWN * arm.reach, written.rms / CLEARLY if doubted else np.inf)  # [mm] may be left
+    hopeless = 2.0 * max(enough, written.rms / CLEARLY)
     tried = {written: written.rms}
 
     def moved_zero(best: Reading) -> Iterator[Reading]:
@@ -309,6 +312,9 @@ def _of_drawing(arm: Arm, measurements: Measurements, search: bool) -> Readings:
             order = list(best.order)
             order[a], order[b] = order[b], order[a]
             yield replace(best, order=tuple(order))
+        yield from farther_back(best)
+
+    def farther_back(best: Reading) -> Iterator[Reading]:
         for first, senses in parallel_joints(chain):
             last = first + len(senses)
             for start in range(first, last - 1):
@@ -319,6 +325,12 @@ def _of_drawing(arm: Arm, measurements: Measurements, search: bool) -> Readings:
                     yield replace(best, sums=tuple(map(tuple, one.tolist())))
                 yield replace(best, sums=tuple(map(tuple, every.tolist())))
 
+    def counted(best: Reading) -> Iterator[Reading]:
+        """As a controller may count: any joints turn the other way, and any are counted from farther back."""
+        if arm.links <= 7:  # effort
+            for signs in product((1, -1), repeat=arm.links):
+                yield from (replace(one, signs=signs) for one in (best, *farther_back(best)))
+
     def changed_twice(best: Reading) -> Iterator[Reading]:
         """With a sign or a mirrored frame beside another change."""
         for one in (best, *changed(best)):
@@ -326,13 +338,13 @@ def _of_drawing(arm: Arm, measurements: Measurements, search: bool) -> Readings:
 
     def simplest() -> Reading:
         """The fewest changes, and zeros among them, of those that leave about as little as the best."""
-        enough = ALIKE * min(tried.values())
-        near = [reading for reading, rms in tried.items() if rms <= enough]
+        alike = ALIKE * min(tried.values())
+        near = [reading for reading, rms in tried.items() if rms <= alike]
         return min(near, key=lambda reading: (reading.changes, np.count_nonzero(reading.quarters), tried[reading]))
 
-    for change in (moved_zero, moved_zero, changed, changed_twice, changed, changed):
+    for change in (moved_zero, moved_zero, changed, changed_twice, counted, changed, changed):
         ranked = sorted(tried, key=tried.__getitem__)
-        if tried[ranked[0]] < DRAWN * arm.reach:
+        if tried[ranked[0]] < enough:
             break
         starts = ranked[:1] if change is moved_zero else [written]
         if change is changed:  # effort
@@ -340,13 +352,13 @@ def _of_drawing(arm: Arm, measurements: Measurements, search: bool) -> Readings:
         for start in dict.fromkeys(starts):
             tried |= {reading: placed(reading).rms for reading in change(start) if reading not in tried}
     best = simplest()
+    explained = tried[best] < enough
+    if explained and best != written:  # the search ends early: others may be as simple, or leave far less
+        for further in (changed if best.changes == 1 else changed_twice, counted):
+            tried |= {reading: placed(reading).rms for reading in further(written) if reading not in tried}
+        best = simplest()
     if CLEARLY * tried[best] >= written.rms:
         return Readings(written)
-    explained = tried[best] < DRAWN * arm.reach
-    if explained and not best.moved_zeros:  # the search ends early: others may be as simple
-        further = changed if best.changes == 1 else changed_twice
-        tried |= {reading: placed(reading).rms for reading in further(written) if reading not in tried}
-        best = simplest()
     as_simple = (r for r in tried if explained and r.changes == best.changes and not r.moved_zeros)
     alike = sorted((r for r in as_simple if r != best and tried[r] <= ALIKE * tried[best]), key=tried.__getitem__)
     hopeless = np.inf

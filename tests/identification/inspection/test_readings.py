@@ -10,6 +10,7 @@ import pytest
 from hypothesis import assume, given
 
 from identification import Arm, DHRow, InputError, Measurements, Model, chain_of, load_arm, load_measurements
+from identification.arm import Machining
 from identification.inspection.inspection import inspect
 from identification.inspection.readings import Reading, data_warnings, parallel_joints, read_differently
 from identification.instruments import PlanarDistance
@@ -160,6 +161,37 @@ def test_a_wrist_whose_axes_meet_has_two_explanations() -> None:
     (said,) = read_differently(Arm(chain_of([DHRow(*row) for row in rows])), data).sentences
     both = "joint 5 turns the other way, or, equally well, joint 4 has another zero than the drawing: add 180 deg to it"
     assert both in said
+
+
+def test_a_reading_that_leaves_far_less_is_found_behind_one_that_would_do() -> None:
+    """A forearm that keeps its angle when joint 2 turns, and four signs. Other faults leave 1 % of the reach, too: each
+    joint turns by itself, joint 3 hardly. With a file that says these a fit is implausible, and check finds the right
+    ones."""
+    a, alpha, d = (312, 1075, 225, 0, 0, 0), (-1, 0, -1, 1, -1, 0), (0, 0, 0, 1280, 0, 215)
+    rows = list(zip(map(float, a), (0.5 * np.pi * np.array(alpha)).tolist(), map(float, d), strict=True))
+    true = Counting((1, 1, -1, -1, -1, -1), (0, 0, 2, 0, 0, 0), (0.0,) * 6)
+    middle, ranges = np.radians([25, -72, 60, -81, -27, 115]), np.radians([9, 94, 4, 225, 74, 470])
+    columns = np.concatenate([middle + np.outer(np.linspace(-0.5, 0.5, 10), x) for x in np.diag(ranges)])
+    seen = points(true.joints(columns), np.array([200.0, 50.0, 200.0]), rows)
+    seen = seen + np.random.default_rng(2).normal(0.0, 0.05, seen.shape)
+    arm = Arm(chain_of([DHRow(*row) for row in rows]))
+    assert read_differently(arm, Measurements(columns, seen)).counting == true
+    wrong = replace(arm, counting=replace(true, sign=(-1, -1, 1, 1, 1, 1)))
+    found = inspect(wrong, Measurements(wrong.counting.joints(columns), seen)).data
+    assert found["rms_drawing_mm"] < 0.02 * arm.reach
+    assert found["better_reading"]["arm_file"] == true.toml
+
+
+def test_what_a_fit_asks_check_asks() -> None:
+    """No other reading is better, and no machining is off by that much."""
+    generator = np.random.default_rng(8)
+    q = generator.uniform(-2.0, 2.0, (60, 3))
+    made = [(1.2, QUARTER + 0.006, 350.0), (-401.2, 0.006, 1.2), (-298.8, QUARTER - 0.006, 1.2)]
+    seen = points(q, np.array([60.0, 20.0, 40.0]), made) + generator.normal(0.0, 0.01, (60, 3))
+    found = inspect(replace(ARM, machining=Machining(0.1, np.radians(0.05))), Measurements(q, seen))
+    (asked,) = found.problems
+    assert asked.startswith("the arm is farther from its drawing than [machining] says (0.1 mm and 0.05 deg): taken ")
+    assert asked.endswith(" times as large; are units, order and signs of joints and coordinates right?")
 
 
 # -- a reading in words, and what it makes of columns ------------------------------------------------------------------
