@@ -20,7 +20,7 @@ from identification.errors import InputError
 from identification.estimation import Identification, estimate
 from identification.estimation.doubts import lacking, left_out_residuals
 from identification.estimation.problem import Problem, check_shape
-from identification.estimation.uncertainty import LEVEL_95, gained_squares
+from identification.estimation.uncertainty import LEVEL_95, chance_of_gain
 from identification.information import spectrum
 from identification.kinematics.chain import BASE, TOOL
 from identification.kinematics.frames import pose_table
@@ -112,12 +112,11 @@ class Validation(Documented, ReadOnly):
         arm, measurements, refit = self.arm, self.measurements, self.refit
         after, before = (distances(residuals) for residuals in (self.residuals, self.nominal_residuals))
         # where the squares saved are no more than groups of rows, by time or by region of posture, scatter by
-        gained = gained_squares(before, after, measurements)
-        if gained.value > 0.0 and gained.p_above() > LEVEL_95 / 2.0:
+        chance = chance_of_gain(before, after, measurements)
+        if self.model.rms < self.nominal.rms and chance > LEVEL_95 / 2.0:
             share = 100.0 * self.model.rms / self.nominal.rms
             of_drawing = f"{share:.0f} % of the RMS error of the drawing, refitted in the same way"
-            p_value = f"p = {gained.p_above():.2g}"
-            yield f"the model leaves {of_drawing}, which {shown.BY_CHANCE} as far as these rows tell ({p_value})"
+            yield f"the model leaves {of_drawing}, which {shown.BY_CHANCE} as far as these rows tell (p = {chance:.2g})"
         if angles := self.rms_angles:
             yield f"orientations: RMS {angles[0]:.3g} deg, by the drawing {angles[1]:.3g} deg"
         tools, names = arm.chain.tools, () if arm.chain.instrument.own_targets else measurements.marker_names
@@ -139,9 +138,9 @@ class Validation(Documented, ReadOnly):
         if refit == "none" and arm.chain.instrument.reads_positions:
             with suppress(InputError):  # of rows too few to say where the arm stands
                 anew = _refitted(arm, measurements, "base")[1]
-                gain = gained_squares(after, distances(anew), measurements)
+                chance = chance_of_gain(after, distances(anew), measurements)
                 # convention: a quarter less is more than the numbers refitted take from the noise of a few postures
-                if rms_distance(anew) < 0.75 * self.model.rms and gain.p_above() <= LEVEL_95 / 2.0:
+                if rms_distance(anew) < 0.75 * self.model.rms and chance <= LEVEL_95 / 2.0:
                     left = in_a_sentence(rms_distance(anew))
                     yield f"with where the arm stands refitted, as without --refit none, it leaves {left} mm RMS"
         model = Model(arm)
@@ -260,38 +259,43 @@ def placed(
 
 
 # -- judged before it is offered ---------------------------------------------------------------------------------------
-def offer(by: str, rows: int, model: tuple[float, float], geometry: tuple[float, float], p: float) -> dict[str, Any]:
+def offer(
+    by: str, rows: int, model: tuple[float, float], geometry: tuple[float, float], p: float, refitted: bool = False
+) -> dict[str, Any]:
     """Key `offered` (identification/files/README.md, "JSON keys"): RMS and largest distance [mm] that the model offered
-    and the geometry alone leave, and whether it is better beyond chance, as `validate` judges it;  by : `holdout` or
-    `cross-validation` (each posture by a fit to others);  p : one-sided p-value, of no gain"""
+    and the geometry alone leave, and whether it is better beyond chance;  by : `holdout` or `cross-validation` (each
+    posture by a fit to others);  p : one-sided p-value, of no gain;  refitted : where the arm stands was, for both"""
     lengths = {"rms_mm": model[0], "max_mm": model[1], "rms_geometry_mm": geometry[0], "max_geometry_mm": geometry[1]}
-    return {"by": by, "rows": rows, **lengths, "p_value": p, "better": model[0] < geometry[0] and p <= LEVEL_95 / 2.0}
+    lengths |= {"p_value": p, "refitted": refitted}
+    return {"by": by, "rows": rows, **lengths, "better": model[0] < geometry[0] and p <= LEVEL_95 / 2.0}
 
 
 def beside_geometry(by: str, geometry: Array, model: Array, measurements: Measurements) -> dict[str, Any]:
     """`offer` from residuals (m, d) [mm] of the same rows."""
     before, after = distances(geometry), distances(model)
-    p_value = gained_squares(before, after, measurements).p_above()
+    p_value = chance_of_gain(before, after, measurements)
     alone, whole = ((rms_distance(left), float(np.max(distances(left)))) for left in (geometry, model))
-    return offer(by, len(model), whole, alone, p_value)
+    return offer(by, len(model), whole, alone, p_value, by == "holdout")
 
 
 def judged(diagnosis: Diagnosis, arm: Arm, measurements: Measurements, holdout: Measurements | None) -> Diagnosis:
     """The diagnosis with what its extended model is worth beside the geometry (`Diagnosis.offered`).
 
-    Where nothing is missing nothing is offered. On a hold-out both are placed as `validate` places them, so that the
-    figures are those that it gives of the files of `diagnose --out` and of `identify --out`; without one, the
-    cross-validation over postures says it.
+    Where nothing is missing nothing is offered. A hold-out that was measured between the data says it as it confirms
+    the model: what happened once, a drift or a step, is in its rows, too. In others both are placed as `validate`
+    places them, so that the figures are those that it gives of the files of `diagnose --out` and of `identify --out`.
+    Without a hold-out the cross-validation over postures says it.
     """
     if diagnosis.verdict == "none" or not diagnosis.predicting.specs:
         return diagnosis
-    if holdout is None:
-        test = next((test for test in diagnosis.cross_validation if test.transfer == "other postures"), None)
-        if test is None:
-            return diagnosis
+    tests = diagnosis.cross_validation if holdout is None else (diagnosis.confirmation,)
+    test = next((test for test in tests if test and test.transfer == "other postures" and not test.refitted), None)
+    if test is not None:
         after, before = (test.after_mm, test.max_after_mm), (test.before_mm, test.max_before_mm)
         p_value = 1.0 if test.p_shrinks is None else test.p_shrinks
         return replace(diagnosis, offered=offer(test.by, test.rows, after, before, p_value))
+    if holdout is None:
+        return diagnosis
     kept = measurements.rows([k for k in range(len(measurements)) if k + 1 not in set(diagnosis.outlier_rows)])
     # as `identify` calibrates it, where it stands in the first session
     fit = estimate(Model(with_sessions(arm, kept)), kept)

@@ -168,7 +168,7 @@ def hardly_better(data: Data) -> list[str]:
         f"{in_a_sentence(offered[f'rms{of}_mm'])} mm RMS (largest {in_a_sentence(offered[f'max{of}_mm'])})"
         for of in ("", "_geometry")
     )
-    placed = ", each with the place of the arm refitted" if offered["by"] == "holdout" else ""
+    placed = ", each with the place of the arm refitted" if offered["refitted"] else ""
     seen = f"in rows that no fit has seen{placed}"
     return [f"This model predicts {sure} than the geometry alone: {model} against {geometry} {seen}."]
 

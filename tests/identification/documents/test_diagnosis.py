@@ -103,7 +103,7 @@ def test_a_verdict_comes_with_what_follows_from_it(data: dict[str, Any], first: 
 def test_a_model_no_better_than_the_geometry_is_not_offered(rms: float, word: str) -> None:
     """It is said before what was named, and the commands of the robot are to come from the geometry."""
     offered = {"rms_mm": rms, "max_mm": 3.07, "rms_geometry_mm": 0.275, "max_geometry_mm": 1.81, "better": False}
-    offered |= {"by": "holdout"}
+    offered |= {"refitted": True}
     data = said("named", "backlash:2") | {"offered": offered}
     first = diagnosis_verdict(data)[0]
     assert first.startswith(f"This model predicts {word} the geometry alone: {rms:g}")

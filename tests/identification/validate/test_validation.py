@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import stats
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
@@ -15,7 +16,6 @@ from identification import (
     PRISMATIC,
     REVOLUTE,
     DHRow,
-    Diagnosis,
     Identification,
     InputError,
     Model,
@@ -26,6 +26,7 @@ from identification import (
 )
 from identification.arm import Arm, Calibration, EffectSpec, ErrorCurve
 from identification.compensate import compensate
+from identification.estimation.uncertainty import chance_of_gain
 from identification.gap.library_prior import library_prior
 from identification.inspection.readings import read_differently
 from identification.kinematics.chain import KinematicChain
@@ -277,18 +278,17 @@ def session(drift: float, backlash: float, seed: int = 3, m: int = 80) -> Measur
     return Measurements(q, exact + 0.05 * rng.standard_normal((m, 2)), order)
 
 
-@pytest.fixture(scope="module")
-def drifting() -> tuple[Diagnosis, Measurements, Measurements]:
+def parts() -> tuple[Measurements, Measurements]:
+    """Two thirds of a session with a drift, and the rows between them."""
     data = session(0.6, 6e-4)
-    own, held = data.rows(np.arange(80) % 3 > 0), data.rows(np.arange(80) % 3 == 0)
-    return judged(diagnose(ARM, own, held), ARM, own, held), own, held
+    return data.rows(np.arange(80) % 3 > 0), data.rows(np.arange(80) % 3 == 0)
 
 
-def test_the_figures_are_those_of_validate_on_the_same_rows(
-    drifting: tuple[Diagnosis, Measurements, Measurements],
-) -> None:
-    """With a drift, which belongs to the session: the file has its end, and both say so."""
-    found, own, held = drifting
+def test_the_figures_are_those_of_validate_on_rows_of_another_session() -> None:
+    """With a drift, which belongs to its session: the file has its end, and both say so."""
+    own, held = parts()
+    held = replace(held, order=np.arange(len(held)))
+    found = judged(diagnose(ARM, own, held), ARM, own, held)
     assert {spec.key for spec in found.named.specs} == {"base_drift", "backlash:2"}
     extended = validate(found.extended_arm(), held)
     assert found.offered is not None
@@ -296,10 +296,23 @@ def test_the_figures_are_those_of_validate_on_the_same_rows(
     assert found.offered["max_mm"] == pytest.approx(extended.model.max, rel=1e-9)
     geometry = validate(replace(ARM, calibration=estimate(Model(ARM), own).calibration()), held)
     assert found.offered["rms_geometry_mm"] == pytest.approx(geometry.model.rms, rel=1e-9)
-    assert found.to_json()["offered"]["rms_mm"] == found.offered["rms_mm"]
-    assert found.gap.held_out_after is not None
-    assert found.offered["rms_mm"] > 1.5 * found.gap.held_out_after  # which had the drift of each row's time
+    assert (found.to_json()["offered"]["rms_mm"], found.offered["refitted"]) == (found.offered["rms_mm"], True)
     assert any("base_drift" in n and "of the session of the identification" in n for n in extended.notes)
+
+
+def test_rows_between_the_data_have_the_drift_of_their_time() -> None:
+    """So they say what the model is worth in rows that are measured when the drift is over."""
+    own, held = parts()
+    found = judged(diagnose(ARM, own, held), ARM, own, held)
+    offered, gap = found.offered, found.gap
+    assert offered is not None
+    assert (offered["by"], offered["refitted"], offered["better"]) == ("holdout", False, True)
+    assert (offered["rms_mm"], offered["rms_geometry_mm"]) == (gap.held_out_after, gap.held_out_before)
+    over = session(0.0, 6e-4, seed=9)
+    geometry = replace(ARM, calibration=estimate(Model(ARM), own).calibration())
+    model, alone = (validate(arm, over).model.rms for arm in (found.extended_arm(), geometry))
+    assert model == pytest.approx(offered["rms_mm"], rel=0.3)  # 27 rows: three standard errors
+    assert alone > 1.5 * model
 
 
 def test_without_a_hold_out_other_postures_say_it() -> None:
@@ -311,6 +324,24 @@ def test_without_a_hold_out_other_postures_say_it() -> None:
     assert (found.offered["rms_mm"], found.offered["rms_geometry_mm"]) == (test.after_mm, test.before_mm)
     assert test.max_before_mm > test.before_mm
     assert test.to_json()["max_after_mm"] == test.max_after_mm
+
+
+def test_a_gain_in_every_row_is_none_by_chance_however_the_rows_differ() -> None:
+    """Of eight rows, each a group of its own: shares of what both models leave, by SciPy; and how often of two models
+    that are as good one is called better, errors being normal and of sizes that differ from row to row."""
+    rng = np.random.default_rng(5)
+    data = Measurements(rng.uniform(-2.0, 2.0, (8, 3)), np.zeros((8, 2)))
+    before = np.array([0.2, 0.3, 0.25, 0.2, 0.3, 0.2, 3.0, 0.9])
+    after = before / np.array([3.0, 8.0, 5.0, 9.0, 2.0, 4.0, 5.0, 12.0])
+    saved, both = before**2 - after**2, before**2 + after**2
+    assert stats.ttest_1samp(saved, 0.0, alternative="greater").pvalue > 0.1
+    shares = stats.ttest_1samp(saved / both, 0.0, alternative="greater")
+    assert chance_of_gain(before, after, data) == pytest.approx(shares.pvalue, rel=1e-9)
+    assert shares.pvalue < 1e-4
+    sizes = np.exp(rng.normal(size=(1000, 8, 1)))
+    one, two = (np.linalg.norm(sizes * rng.normal(size=(1000, 8, 3)), axis=2) for _ in range(2))
+    called = np.mean([chance_of_gain(*pair, data) <= 0.025 for pair in zip(one, two, strict=True)])
+    assert called == pytest.approx(0.025, abs=0.015)  # three standard errors
 
 
 def test_geometry_and_largest_error_of_residuals_by_hand() -> None:
