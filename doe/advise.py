@@ -31,21 +31,21 @@ TIP_ERRORS = {
     "effects_missing_prior": "library\nprior\n[mm]",
 }
 RIGHT = (
-    "Expected errors of the tip where nothing was measured, if the model is right: RMS over the workspace, and at the "
-    "worst of its poses."
+    "Expected tip errors at poses that were not measured, if the model is right: RMS over the workspace, and at the "
+    "worst pose."
 )
 BOUND_CUT = (
-    "The search for the bound was cut by the time limit: plans may be better than their efficiency says. Raise "
-    "--seconds to know."
+    "The time limit ended the search for the bound: plans may be better than their efficiency says. Raise --seconds "
+    "to find out."
 )
 DIAGNOSED = (
     "The model has the effects that its diagnosis found, at the sizes measured; others are not counted: armcal "
     "diagnose says which sizes its data rule out. armcal validate compares it with new measurements."
 )
 MISSING = (
-    "The last two columns: if effects of typical size are missing, and if these are allowed for by identify "
-    "--library-prior. They may rise with the runs: more runs do not help against a missing effect; the fit hides it in "
-    "wrong lengths and zeros. Where effects may be missing, choose the postures with armcal design --robust."
+    "The last two columns: if effects of typical size are missing, without and with identify --library-prior, which "
+    "allows for them. They may rise with the runs: more runs do not help against a missing effect, which the fit hides "
+    "in wrong lengths and zeros. Where effects may be missing, choose the postures with armcal design --robust."
 )
 
 
@@ -154,9 +154,9 @@ def with_scatter(arm: Arm) -> tuple[Arm, str]:
     if arm.sigma is not None:
         return arm, ""
     if arm.calibration is None or (scatter := arm.calibration.scatter) is None:
-        return arm, f"No standard deviations, no tip error: that {NEEDS_SIGMA}."
-    scatter_in_words = f"sigma_mm = {scatter:.3g}, the scatter that its identification left"
-    return replace(arm, sigma=scatter), f"The arm file has no sigma_mm: {scatter_in_words}, is taken for it."
+        return arm, f"No standard deviations and no tip error: computing them {NEEDS_SIGMA}."
+    scatter_in_words = f"sigma_mm = {scatter:.3g}, the residual scatter of its identification"
+    return replace(arm, sigma=scatter), f"The arm file has no sigma_mm: {scatter_in_words}, is used instead."
 
 
 def advise(

@@ -19,9 +19,9 @@ from identification import InputError, Plan, Status, spectrum
 from identification.document import Document, Sheet, count_of, in_a_sentence, number
 
 BEST_KNOWN = "best known"  # what a plan is of which no bound says that it is optimal
-WHAT_TO_FIT = (  # and not `identify --library-prior` at once: what has a name corrects more (identification/README.md)
-    "armcal diagnose names those that the data show; identify --library-prior allows for all of them without names, "
-    "and the error at the tip expected here is that of such a fit alone"
+WHAT_TO_FIT = (  # not `identify --library-prior` at once: what has a name corrects more (identification/README.md)
+    "armcal diagnose names those that the data show; identify --library-prior allows for all without naming any, and "
+    "the tip error expected here is that of such a fit only"
 )
 
 
@@ -76,7 +76,7 @@ class Design(PlanOfProblem):
         if self.bound is None:
             return "no bound is known"
         if self._share_of(self.bound) > 2.0 - CERTIFIED:
-            return f"the plan is better than the bound ({self.bound}), which is therefore none"
+            return f"the plan is better than the bound ({self.bound}), which is therefore not valid"
         return None
 
     @cached_property
@@ -180,23 +180,23 @@ class Design(PlanOfProblem):
         criterion = f"{self.problem.criterion.name}{optimal}"
         if not (error := self.expected_error):
             why = self.no_efficiency
-            efficiency = f"no efficiency: {why}" if why else f"the efficiency {self.efficiency:.4f}"
+            efficiency = f"no efficiency: {why}" if why else f"an efficiency of {self.efficiency:.4f}"
             return f"The plan of {runs} has {efficiency} ({criterion})."
-        sentence = f"With the plan of {runs} (criterion {criterion}) expect an error of "
+        sentence = f"The plan of {runs} (criterion {criterion}) has an expected tip error of "
         listed = self.problem.choices is not None and not self.problem.sampled
         where = "candidates" if listed and not getattr(self.problem.model, "tied", False) else "workspace"
-        sentence += f"{in_a_sentence(error['plan'])} mm at the tip, RMS over the {where} or --test-poses"
+        sentence += f"{in_a_sentence(error['plan'])} mm, RMS over the {where} or --test-poses"
         sentence += f", if fitted by armcal identify --{fit}" if (fit := self.problem.fit) else ""
         if bound is None or error["bound"] is None or self.efficiency is None:
             return f"{sentence}."  # no bound applies to a plan outside the limits
         kind = "" if bound.rigorous else " (a numerical bound)"
-        sentence += f"; no plan of {runs} from {bound.postures} is below {in_a_sentence(error['bound'])} mm{kind}"
+        sentence += f"; no plan of {runs} from {bound.postures} can be below {in_a_sentence(error['bound'])} mm{kind}"
         # a plan of whole runs should reach nine tenths of the bound where it determines every parameter
-        hope = "Do not expect it near 1: the" if self.efficiency < 0.9 else "The"
-        judge = f"{hope} bound allows fractions of a run. Judge by the mm."
+        hope = "Do not expect a value near 1: the" if self.efficiency < 0.9 else "The"
+        judge = f"{hope} bound allows fractions of a run. Judge the plan by the error in mm."
         if self.problem.beyond:
             shared = in_a_sentence(float(np.sqrt(self.problem.beyond)))
-            judge += f" Of these {shared} mm RMS are what no plan can lower, which the efficiency leaves out."
+            judge += f" No plan can reduce {shared} mm RMS of this error; the efficiency leaves it out."
         return f"{sentence}. Efficiency {self.efficiency:.4f}. {judge}"
 
     def _facts(self) -> Sheet:
@@ -207,7 +207,7 @@ class Design(PlanOfProblem):
         highest = f"{number(bound.value, 7)} ({words})" if bound and words and not in_mm else ""
         efficiency = f"-: {self.no_efficiency}" if self.no_efficiency else number(self.efficiency, 6)
         optimal = self.optimality_in_words or "not shown"
-        optimal += ": the bound does not say that it is optimal" if self.optimality == BEST_KNOWN else ""
+        optimal += ": the bound does not prove it optimal" if self.optimality == BEST_KNOWN else ""
         return Sheet.facts(
             {
                 "criterion": f"{kind}, {count_of(runs, 'run')}, {count_of(links, 'link')}",
@@ -226,11 +226,9 @@ class Design(PlanOfProblem):
         """How many postures are measured already; why there is no log det, where there is none; and what the rule
         against repeats may cost, where a search kept it and the bound is not reached."""
         problem, lines = self.problem, list[str]()
-        alike = ", under one payload, temperature, time and approach" * bool(getattr(problem.model, "needs", ()))
+        alike = ", at one payload, temperature, time and approach direction" * bool(getattr(problem.model, "needs", ()))
         if kept := len(problem.kept):
-            lines.append(
-                f"every figure is of these runs and the {kept} measured already (--keep) in one session{alike}"
-            )
+            lines.append(f"figures are for these runs and the {kept} measured already (--keep) in one session{alike}")
         if not np.isfinite(self.log_det):
             still, combinations = problem.without_effect, self.not_identifiable
             why = (
@@ -239,12 +237,12 @@ class Design(PlanOfProblem):
             if not combinations:
                 why = "the information matrix of the plan is singular to the precision of the computer"
             elif still:
-                why = f"under one payload, temperature, time and approach nothing depends on {', '.join(still)}"
+                why = f"nothing depends on {', '.join(still)} at one payload, temperature, time and approach direction"
             lines.append(f"no log det: {why}")
         moved_apart = problem.minimum_distance > 0.0 and problem.choices is None and places_of_free_joint(problem) == 1
         if self.solver and not self.certified_optimal and len(self.plan) > 1 and moved_apart:
-            better = "armcal design --repeats lets them be equal, which can be better"
-            lines.append(f"postures are kept {problem.spacing} apart; {better}")
+            better = "armcal design --repeats allows equal ones, which can be better"
+            lines.append(f"postures are kept at least {problem.spacing} apart; {better}")
         return lines
 
     def _accuracy(self) -> list[Sheet | str]:
@@ -269,31 +267,31 @@ class Design(PlanOfProblem):
                     rows.append([f"{parameter.name} [{parameter.file_unit}]", number(std * parameter.to_file, 5)])
         condition = "if effects of typical size may be missing" if problem.missing else "if the model is complete"
         own = problem.fit == "library-prior"  # effects of --missing alone have none
-        noise = f"{sigma:.4g} mm" + ", an error of each posture included" * own
-        noise += "" if self.plan.weights is None else f", {len(self.plan)} runs shared out by the weights"
+        noise = f"{sigma:.4g} mm" + ", including an error of each posture" * own
+        noise += "" if self.plan.weights is None else f", {len(self.plan)} runs distributed by the weights"
         table = Sheet(headings, rows, f"Expected standard deviations {condition} (sigma = {noise})")
-        held = "more that these postures hardly determine: the prior of [machining] holds them; --json has all"
+        held = "more, which these postures hardly determine and the [machining] prior holds; --json lists all"
         return [table, *([f"and {weak} {held}"] if weak else [])]
 
     def _missing(self) -> list[str]:
         """What a plan is for where effects may be missing; or, where the model has none, that they may be."""
         problem, missing = self.problem, self.problem.missing
         held = len(problem.deviations) - len(missing)
-        lines = [f"{held} corrections of the geometry have the prior of its machining"] if held else []
+        lines = [f"{held} corrections of the geometry have a prior from [machining]"] if held else []
         if missing:
             effects = {name.partition(":")[0].partition(".")[0] for name in missing}
             named = f"{len(missing)} parameters of {', '.join(sorted(effects))}"
             order = (
-                ", which also allows for what follows from the order of its rows (backlash, drifts), and expects more"
+                ", which also allows for effects of the order of the rows (backlash, drifts) and expects a larger error"
             )
             more = order if problem.fit == "library-prior" else ""
-            lines.append(f"may be missing, each of its typical size: {named}; {WHAT_TO_FIT}{more}")
+            lines.append(f"Effects that may be missing, each of typical size: {named}; {WHAT_TO_FIT}{more}")
             equations = len(self.plan) * problem.model.dimension
             if equations < problem.parameters:
                 few = f"{equations} equations for {problem.parameters} parameters"
-                lines.append(f"{few}: so few runs stay far from the bound")
+                lines.append(f"{few}: a plan of so few runs stays far from the bound")
         elif problem.model.sigma is not None and not any(p.of_effect for p in problem.model.parameters):
-            lines.append("The model has no effects, but a real arm has: --robust counts those of the library.")
+            lines.append("The model has no effects, but a real arm has some: --robust allows for those of the library.")
         return lines
 
 

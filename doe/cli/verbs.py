@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 BUILT_IN = ("blind", "blind-spatial")  # studies that come with armcal
 MOVES = 30.0  # [s] of a processor that free moves are searched for
-UNLIKE_ROBUST = "score --robust judges it so, this is of a fit by the model of the arm file alone"
+UNLIKE_ROBUST = "score --robust assumes that fit; these figures are for a fit of the arm file's model alone"
 
 
 # -- from options to a problem, and from an answer to files ------------------------------------------------------------
@@ -83,7 +83,7 @@ def design_problem(
     if repeats:
         restrictions["minimum_distance"] = 0.0
     if repeats and wanted.robust:  # each posture's own error is the same in all of its repeats
-        warnings.warn("--repeats: --robust promises a little too much of postures that are repeated", stacklevel=2)
+        warnings.warn("--repeats: --robust is a little too optimistic about postures that are repeated", stacklevel=2)
     problem = doe.DesignProblem.of(model, **restrictions)
     if wanted.robust:
         missing = wanted.missing
@@ -91,7 +91,7 @@ def design_problem(
         counted = missing_effects(problem, missing, runs)
         if missing and counted.left_out:
             reasons = ", ".join(f"{effect} ({why})" for effect, why in counted.left_out.items())
-            warnings.warn(f"--missing: the plan does not count {reasons}", UserWarning, stacklevel=2)
+            warnings.warn(f"--missing: the plan does not allow for {reasons}", UserWarning, stacklevel=2)
         problem = replace(robust_problem(problem, counted), fit=fit)
     if not wanted.robust or name != "I" or wanted.test_poses is not None:
         poses = None if wanted.test_poses is None else Plan.load(wanted.test_poses, arm.joint_types).postures
@@ -107,7 +107,7 @@ def tell_of_candidates(path: Path, problem: DesignProblem, postures: Any) -> Non
     with InputError.at(path):
         left_out = len(postures) - len(listed_candidates(problem, postures))
     if left_out:
-        apart = f"{left_out} of {len(postures)} postures are outside the limits or a constraint, and not chosen from"
+        apart = f"{left_out} of {len(postures)} postures violate the limits or a constraint and are left out"
         warnings.warn(f"{path}: {apart}", UserWarning, stacklevel=2)
 
 
@@ -152,8 +152,8 @@ def design_files(
     starts : Number of starts.
     seconds : Time budget of the search [s]; left out: none up to 100 runs, 30 for more.
     discriminating : Also make missing effects distinguishable (costs some D-efficiency).
-    order : Of measurement; travel: little joint travel; left out: travel where bodies are known, up to 100 runs.
-    approach : Direction from which every joint comes to each posture.
+    order : Order of measurement; travel: little joint travel; left out: travel where bodies are known, up to 100 runs.
+    approach : Direction in which every joint approaches each posture.
     keep : Postures already measured; the plan complements them.
     candidates : CSV of allowed postures to choose from.
     repeats : A posture may be measured more than once.
@@ -173,11 +173,11 @@ def design_files(
             lacks = "found for an arm without bodies, allowed: with [cell] or bodies in its URDF file"
             raise InputError(f"--clearance-mm: {lacks}")
         if clearance_mm < loaded.cell.clearance:
-            kept = f"clearance_mm = {loaded.cell.clearance:g} of [cell], which check, score and program keep"
-            warnings.warn(f"--clearance-mm: {clearance_mm:g} is less than {kept}; write it there, too", stacklevel=2)
+            kept = f"clearance_mm = {loaded.cell.clearance:g} in [cell], which check, score and program use"
+            warnings.warn(f"--clearance-mm: {clearance_mm:g} is less than {kept}; change it there, too", stacklevel=2)
         loaded = replace(loaded, cell=replace(loaded.cell, clearance=clearance_mm))
     if approach != "any" and loaded.chain.instrument.contact:
-        raise InputError(f"--approach: found {approach} for contacts, allowed: any, as what is touched is in the way")
+        raise InputError(f"--approach: found {approach} for contacts, allowed: any, since surface or cup is in the way")
     counts = loaded.counting.matrix
     progress(0, None, "the arm and its cell")
     problem = design_problem(loaded, criterion, runs, keep=keep, candidates=candidates, repeats=repeats)
@@ -249,9 +249,7 @@ def score_files(
         warnings.warn(f"{plan}: {design.no_efficiency}", UserWarning, stacklevel=2)
     sees = None
     try:
-        require(
-            len(judged) <= 100_000, f"not looked for in {len(judged)} runs, allowed: 100,000, which armcal design makes"
-        )
+        require(len(judged) <= 100_000, f"not checked for {len(judged)} runs, allowed: 100,000, as in armcal design")
         sees = design_model(loaded).detectability(judged)
         tables: list[Any] = [*sees.document().parts]
     except InputError as reason:  # too few runs to test for effects, or too many: a property of the plan, not bad input
@@ -266,16 +264,16 @@ def score_files(
         "preflight": None if sees is None else sees.to_json(),
     }
     moves = None if judged.weights is not None else Plan.load(plan, loaded.joint_types, vias=True).postures
-    meant = f"{plan} is to be fitted by armcal identify --{judged.fit}: {UNLIKE_ROBUST}"
+    meant = f"{plan} was designed for a fit with armcal identify --{judged.fit}: {UNLIKE_ROBUST}"
     lines = [meant] if judged.fit and not criterion.robust else []
     figures = ", ".join(f"{name} {'-' if value is None else format(value, '.5g')}" for name, value in values.items())
     rms = "" if (error := data["workspace_error_mm"]) is None else f", {in_a_sentence(error)} mm RMS"
-    of = f"I: the tip over the workspace{rms}; Ds: what is in mm"
+    of = f"I: the tip over the workspace{rms}; Ds: the parameters in mm"
     lines.append(f"all criteria (larger is better): {figures} ({of})")
     indices = ", ".join(f"{name.upper()} {value:.4g}" for name, value in data["observability"].items())
     lines.append(f"observability indices: {indices}")
     if getattr(problem.model, "needs", ()) and any(column is not None for column in judged.conditions.values()):
-        lines.append("Payloads, temperatures and directions of the plan count in the following; above, all are alike.")
+        lines.append("The lines below use payloads, temperatures and directions of the plan; the figures above do not.")
     return with_collisions(Answer(data, design.document().plus(*lines, *tables)), problem, judged.postures, moves)
 
 
@@ -339,7 +337,7 @@ def relax_files(
     candidates : CSV of allowed postures instead of a grid.
     solver : column_generation (the default), or clarabel or scs, which are independent of it.
     check : Cross-check by independent methods.
-    runs : Number of measurements m: --robust needs it; in space, left out: as many as parameters.
+    runs : Number of measurements m, required by --robust; in space, left out: as many as parameters.
     seconds : Time budget [s]; left out: 40.
     out : Write the plan with weights (CSV).
     """
@@ -350,7 +348,7 @@ def relax_files(
 
     loaded, robust = load_arm(arm, package_dir), criterion.robust
     if robust and runs is None:
-        raise InputError("--robust: no --runs given, allowed: with --runs, the number of measurements")
+        raise InputError("--robust: found without --runs, allowed: with --runs, the number of measurements")
     problem = design_problem(loaded, criterion, runs or 0, candidates=candidates if robust else None)
     require(runs is None or problem.deviations, "--runs: found without --robust, allowed: with --robust")
     problem = with_choices(problem) if robust and grid is None else problem
@@ -401,7 +399,7 @@ def compare_files(
 ) -> Answer:
     """Compare design solvers side by side.
 
-    Each run, on the problems ARM x RUNS, is a process of its own. Every plan is evaluated on the stored problem,
+    Each run, on the problems ARM x RUNS, has its own process. Every plan is evaluated on the stored problem,
     independently of its solver. Hit rate: fraction of the runs that found the best known value; with --repeats 10
     --starts 1, the fraction of good starts.
 
@@ -445,16 +443,16 @@ def program_files(
     out: Written,
     force: bool = False,
 ) -> Answer:
-    """The robot's program that drives through a plan.
+    """Write a robot program that drives through a plan.
 
-    Joint moves to the postures of PLAN in its order, at each a pause for the measurement. Joints are written as the
-    controller counts them (columns of PLAN). No controller was there to test these programs: run them slowly first.
+    Joint moves to the postures of PLAN in its order, with a pause for the measurement at each. Joints are written as
+    the controller counts them (columns of PLAN). These programs were not tested on a controller: run them slowly first.
 
     robot : Language: URScript, RAPID, KRL, FANUC TP (.LS), or a JointTrajectory of ROS 2 (YAML).
     speed : Speed of the joint moves, in percent of 120 deg/s and 1 m/s, or of the controller's own.
-    settle : Seconds from the arrival to the measurement, up to 300.
+    settle : Seconds between arrival and measurement, up to 300.
     template : Jinja2 template of your own; its variables: doe/README.md, "Programs".
-    out : Write the program, which takes the name of the file.
+    out : Write the program, which is named after the file.
     """
     from doe import DesignProblem
     from doe.plan.moves import in_sentences
@@ -470,16 +468,16 @@ def program_files(
         text, made = program(loaded, file, robot, **options)
     runs, vias = len(file.measured), len(file) - len(file.measured)
     counted = f"{count_of(runs, 'run')} and {count_of(vias, 'way-point')}"
-    first = "nobody looked at the move to the first row: try it slowly"
+    first = "the move to the first row was not checked: try it slowly"
     sentence = f"{counted}, about {made['seconds'] / 60.0:.1f} min without measuring; {first}"
     headings = ["", *file.headings, "after [s]"]
     rows = [[m["kind"], *(f"{q:.3f}" for q in m["joints"]), f"{m['seconds']:.0f}"] for m in made["moves"]]
     doubts = in_sentences(made["not_free"])
     if robot == "kuka" and made["name"].lower() != out.stem.lower():
-        doubts.append(f"{out}: a KUKA takes a program from a file of its name only: {made['name']}.src")
+        doubts.append(f"{out}: a KUKA needs a file with the name of the program: {made['name']}.src")
     if elsewhere := file.from_elsewhere:
         named = f"run{'s' * (len(elsewhere) != 1)} {', '.join(map(str, elsewhere))}"
-        doubts.append(f"Joints come to {named} from other sides than direction1.. of {plan} say, in want of way-points")
+        doubts.append(f"Without way-points, joints approach {named} from other sides than direction1.. of {plan} says")
     document = Document(parts=[sentence, Sheet(headings, rows, most=60), *doubts])
     data, said = {"robot": robot, "runs": runs, "vias": vias, **made}, [line.strip() for line in doubts]
     answer = Answer(data, document, warnings=said, files={out: ("program", text)})
@@ -503,8 +501,8 @@ def discriminate_files(
 ) -> Answer:
     """Next postures for an ambiguous diagnosis.
 
-    The next RUNS postures, to distinguish its candidates, and their chance of success. Several files DATA are sessions
-    of one arm, as for `armcal diagnose`.
+    The next RUNS postures, which tell its candidates apart, and their chance of success. Several files DATA are
+    sessions of one arm, as for `armcal diagnose`.
 
     runs : Number of further measurements K.
     payloads : Payloads to choose from [kg], as 0,5,10; left out: the arm's own.
@@ -528,7 +526,7 @@ def discriminate_files(
     measured = [q for path in data for q in Plan.load(path, loaded.joint_types, carried_out=True).postures.round(3)]
     if (postures := len(set(map(tuple, measured)))) < (fewest := problem.fewest_runs):
         counted = f"{len(measured)} rows of {count_of(postures, 'posture')}"
-        enough = f"at least {fewest}, which the arm's own parameters need; armcal design --keep {data[-1]} chooses more"
+        enough = f"at least {fewest} for the arm's own parameters; armcal design --keep {data[-1]} chooses more"
         raise InputError(f"{data[-1]}: {counted}, allowed: {enough}")
     diagnosis = VERBS["diagnose"][0](arm, data, seed=seed, progress=progress).result
     keys = {"verdict": diagnosis.verdict, "candidates": [list(candidate.effects) for candidate in diagnosis.candidates]}
@@ -560,11 +558,11 @@ def report_files(
     force: bool = False,
     page: Callable[[Document, Sequence[Path]], str],
 ) -> Answer:
-    """One page of a campaign's files.
+    """Make one page from the files of a campaign.
 
     Arm files (nominal, calibrated, extended), plans and measurements. The page has the verdict (first the error on rows
-    that no fit has seen), what to do next, corrected values, errors with their sign, and plans that can be stepped
-    through and edited; it is one file that needs no network.
+    that no fit has seen), what to do next, corrected values, signed errors, and plans that can be stepped
+    through and edited; it is one file that works offline.
 
     out : Write the page.
     """
@@ -600,12 +598,12 @@ def study_files(
     plans.parquet; notebooks read them with polars.
 
     replications : Simulated data sets per cell, instead of the file's.
-    cells : Of blind or blind-spatial: only this; repeatable.
+    cells : Only this cell of blind or blind-spatial; may be repeated.
     """
     if study not in BUILT_IN and not study.endswith(".toml"):
         raise InputError.unknown("study: unknown name", study, [*BUILT_IN, "NAME.toml"])
     if cells and study not in BUILT_IN:
-        raise InputError(f"--cell: {cells[0]!r} of the study {study}, allowed: of blind and blind-spatial")
+        raise InputError(f"--cell: {cells[0]!r} for the study {study}, allowed: for blind and blind-spatial")
     folder, how = job.out or Path(study).with_suffix(".results"), job.how(seed, progress)
     with interruptible("", folder):
         if study in BUILT_IN:
@@ -658,11 +656,11 @@ def demo_files(
             raise InputError(f"{out}: exists and is not empty, allowed: a new directory, or --force")
     except OSError as error:  # a file, a name that is too long, links that lead in a circle, no right to write
         raise InputError(f"{out}: cannot be created ({error.strerror}), allowed: a writable place") from None
-    with interruptible(f"; the files in {out} are whole, but not all there"):
+    with interruptible(f"; the files in {out} are complete, but some are missing"):
         demo = run_demo(out, spatial=spatial, seed=seed, progress=progress)
         document, picture = demo_document(demo), overview_figure(demo)
         text = page(document, [out / name for name in demo.data["files"]])
         write_together({out / "overview.png": picture, out / "report.html": text}, force=True)
         files = ", ".join(demo.data["files"])
-        look = f"Look at {out / 'report.html'} in a browser, and at the files beside it: {files}"
+        look = f"Open {out / 'report.html'} in a browser; the other files are beside it: {files}"
         return with_collisions(Answer(demo.data, document.plus(look)), demo.design.problem, demo.design.plan.postures)

@@ -332,10 +332,10 @@ def tip_beside_random(problem: DesignProblem, postures: Array, seed: int = 0) ->
     data = {name: value if np.isfinite(value) else None for name, value in figures.items()}
     fit = f"fitted by armcal identify --{problem.fit}" if problem.fit else "fitted without them"
     named = "effects of --missing" if "--missing" in problem.fit else "effects and error curves"
-    where = f"Expected error of the tip if the arm has {named} that its file does not name ({fit})"
-    others = f"{median:.3g} mm by the median of {plans} random ones"
-    sentences = f"{where}: {plan:.3g} mm by this plan, {others}; better than {100.0 * better:.0f} % of them."
+    where = f"Expected tip error if the arm has {named} that its file does not name ({fit})"
+    others = f"{median:.3g} mm for the median of {plans} random plans"
+    sentences = f"{where}: {plan:.3g} mm for this plan, {others}; better than {100.0 * better:.0f} % of them."
     if not plan < 0.95 * median:  # differences below change with the arm
-        sentences += " In this the plan is hardly better than random postures, if at all."
-        sentences += "" if problem.fit else " armcal design --robust chooses postures for that."
+        sentences += " In this respect the plan is hardly better than random postures, if at all."
+        sentences += "" if problem.fit else " armcal design --robust chooses postures for this case."
     return data | {"better_than": better, "random_plans": plans, "fit": problem.fit or None}, [sentences]

@@ -1,28 +1,28 @@
-"""A plan as it is driven: in an order, straight in the joints, free of collisions, short, with way-points where there
-is no other way, each posture approached as is asked for.
+"""How a plan is driven: the order of its postures, straight moves in joint space that are free of collisions and short,
+way-points where a straight move is not possible, and the side from which each posture is approached.
 
-*A move that is proven.* No pair k of bodies comes nearer or gets farther apart than by
+*Proving a move free.* Between two postures q and q' the distance of pair k of bodies changes by at most
 
-    sum_j L_kj |q_j - q'_j|
+    sum_j L_kj |q_j - q'_j|,
 
-between two postures, L_kj being its lever about joint j [mm/rad]. So a pair that is r and r' apart at the ends of a
-stretch keeps (r + r' - sum_j L_kj |q_j - q'_j|) / 2 all along it; where that is below zero, the stretch is halved
+where L_kj is the pair's lever about joint j [mm/rad]. If the distances at the ends of a stretch are r and r', the pair
+keeps at least (r + r' - sum_j L_kj |q_j - q'_j|) / 2 all along it. Where that is below zero, the stretch is halved
 (F. Schwarzer, M. Saha, J.-C. Latombe, "Adaptive dynamic collision checking for single and multiple articulated robots",
-IEEE Trans. Robotics 21 (2005) 338-353). The stretches of all moves are evaluated at once, level by level. What becomes
-too short to go on counts as not free: nothing here is sampled and hoped for.
+IEEE Trans. Robotics 21 (2005) 338-353). The stretches of all moves are evaluated at once, level by level. A stretch
+that becomes too short to halve counts as not free; no move is accepted on samples alone.
 
-*A road map.* The postures, and random ones to go by, are nodes; moves between those that are near each other are edges,
-as long as nothing is found in their way at a few places (L. Kavraki, P. Svestka, J.-C. Latombe, M. Overmars,
-"Probabilistic roadmaps for path planning in high-dimensional configuration spaces", IEEE Trans. Robotics and Automation
-12 (1996) 566-580). The route is the shortest open path through all postures along the map. Only its moves are proven;
-those that collide leave the map, and the route is sought again (R. Bohlin, L. Kavraki, "Path planning using lazy PRM",
-ICRA 2000). At last it is pulled tight. A posture to which no free way leads is replaced by the best, by the criterion,
-of random ones to which one does.
+*Road map.* The postures and random way-points are the nodes. Edges are moves between neighbouring nodes, as long as
+checks at a few places along them find no collision (L. Kavraki, P. Svestka, J.-C. Latombe, M. Overmars, "Probabilistic
+roadmaps for path planning in high-dimensional configuration spaces", IEEE Trans. Robotics and Automation 12 (1996)
+566-580). The route is the shortest open path through all postures along the map. Only its moves are proven; those that
+collide leave the map, and the route is searched again (R. Bohlin, L. Kavraki, "Path planning using lazy PRM", ICRA
+2000). At the end its bends are shortened. A posture that cannot be reached without collision is replaced by the best
+(by the criterion) of random ones that can.
 
-*The order of measurement* changes no information, but travel time and what drift can hide. The shortest joint travel is
-a travelling salesman's open path, whose edges cost the time that the slowest joint needs. From many starts two edges
-are exchanged as long as that gains: of 30 random postures of six joints the path is 0.6 % longer than the shortest (2 %
-at most in eight).
+*Order of measurement.* It does not change the information, but it changes the travel time, and which drifts can stay
+hidden. The shortest joint travel is an open travelling salesman path whose edges cost the time that the slowest joint
+needs. From many starts, pairs of edges are exchanged as long as that shortens the path: for 30 random postures of six
+joints the result is 0.6 % longer than the shortest path (at most 2 % in eight cases).
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -46,14 +46,14 @@ APPROACH = float(np.radians(3.0))  # more than any backlash
 NARROWEST = 0.5  # [mm] of the way of a body, below which a stretch is not halved again
 MOVING = 0.5  # share of the clearance that is kept while the arm moves
 WALL = 10.0  # [mm] that the arm may pass a wall by while it moves: many postures are on one
-WAY = "the travel of the shortest order with nothing in the way."
+SHORTEST = "the travel of the shortest order without obstacles."
 WOUND = 1.01 * 2.0 * np.pi  # [rad] limits that leave more are of several turns
 ATTEMPTS = 5  # to replace what no way leads to
 MANY = 100  # runs above which a plan keeps its order if no other is asked for
 # what is said of plans of an arm in space whose bodies are not known
 COLLISIONS = (
-    "Collisions were not looked at, neither of the arm with itself nor with what is around it, since the arm file has "
-    "no bodies: add [[cell.bodies]] or a URDF with collision bodies, or try each posture slowly."
+    "Collisions of the arm with itself and with its surroundings were not checked, since the arm file has no bodies: "
+    "add [[cell.bodies]] or a URDF with collision bodies, or try each posture slowly."
 )
 
 
@@ -334,13 +334,13 @@ def drive(
     data["moves"] |= {"no_approach": no_approach, "not_free": blocked, "rows": rows_of(moves)}
     times, named = after / (min(shortest) or after or 1.0), f"run{'s' * (len(no_approach) != 1)} "
     named += ", ".join(map(str, no_approach))
-    how = "both ways, half of the runs each" if approach == "alternate" else f"in {approach} direction"
+    how = "alternating directions (half of the runs each)" if approach == "alternate" else f"the {approach} direction"
     were = f"{count_of(changed, 'posture')} {'was' if changed == 1 else 'were'} replaced"
     for true, sentence in (
-        (True, f"Moves: {count_of(vias, 'way-point')}, {times:.2f} times {WAY}"),
-        (approach != "any", f"every joint comes to each posture {how}; plan and bound leave room for it at the limits"),
-        (no_approach, f"but not to {named}: no free way was found there from that side"),
-        (changed, f"{were}: no free way led there from the others"),
+        (True, f"Moves: {count_of(vias, 'way-point')}, {times:.2f} times {SHORTEST}"),
+        (approach != "any", f"joints approach the postures in {how}; plan and bound leave room for this at the limits"),
+        (no_approach, f"no collision-free path from that side was found to {named}"),
+        (changed, f"{were}: no collision-free path from the others was found"),
     ):
         lines += [sentence] if true else []
     return Drive(measured, moves, data, [*lines, *in_sentences(blocked)])
@@ -374,10 +374,11 @@ def unproven(constraints: Sequence[Constraint], postures: Array) -> list[dict[st
 
 
 def in_sentences(moves: Sequence[Mapping[str, Any]]) -> list[str]:
-    """What is to be said of moves that are `unproven`."""
+    """A heading and a line for each of the moves that are `unproven`."""
     lines = [f"Moves: {len(moves)} may collide on the way:"] if moves else []
     return lines + [
-        f"  to row {each['row']}: {' and '.join(each['bodies'])} come to {each['distance_mm']:.0f} mm" for each in moves
+        f"  to row {each['row']}: {' and '.join(each['bodies'])}, smallest distance {each['distance_mm']:.0f} mm"
+        for each in moves
     ]
 
 
@@ -391,8 +392,8 @@ def said_of_collisions(
     constraints: Sequence[Constraint], dimension: int, postures: Array | None = None, moves: Array | None = None
 ) -> tuple[dict[str, Any], list[str]]:
     """Keys `collisions_checked`, of postures (m, n) `collisions`, and of moves along others `moves`; and what to say:
-    every pair that is too near, what is asked of which pairs, and what may collide unseen. Nothing of arms in a plane
-    whose bodies nobody has described;  postures, moves : None: there are none"""
+    every pair that is too close, pairs with another clearance, and what is not checked. Nothing of planar arms
+    without bodies;  postures, moves : None: there are none"""
     if (clearance := clearance_of(constraints)) is None:
         return ({"collisions_checked": False}, [COLLISIONS]) if dimension == 3 else ({}, [])
     data, lines = dict[str, Any](collisions_checked=not (clearance.unseen or clearance.bare)), list[str]()
@@ -404,9 +405,9 @@ def said_of_collisions(
         first = {(alike[each["run"] - 1], *each["bodies"]): each for each in reversed(near)}
         those, many = (len({*some}) for some in ((posture for posture, *_ in first), alike))
         stay = "pair of bodies stays" if usual == 1 else "pairs of bodies stay"
-        lines = [f"Collisions: {usual} {stay} {clearance.usual:g} mm apart in all {many} postures."]
+        lines = [f"Collisions: {usual} {stay} at least {clearance.usual:g} mm apart at all {many} postures."]
         if near:
-            lines = [f"Collisions: {those} of {many} postures bring bodies too near to each other:"]
+            lines = [f"Collisions: at {those} of {many} postures bodies are too close to each other:"]
         lines += [f"  run {each['run']}: {distance_in_words(each)}" for each in reversed(first.values())]
     if moves is not None:
         data["moves"] = {"not_free": (blocked := unproven(constraints, moves))}
@@ -414,10 +415,10 @@ def said_of_collisions(
     narrow = [f"{' and '.join(clearance.pairs[k])} ({clearance.asked[k]:.3g} mm)" for k in few]
     touching = [" and ".join(pair) for pair in clearance.touching]
     for why, each in (
-        ("Asked to stay apart by less, since they are near wherever the arm goes", narrow),
-        ("Not looked at, since they touch wherever the arm goes", touching),
-        ("Not looked at, since their meshes are not found", clearance.unseen),
-        ("Not looked at, since no body is known that moves with", clearance.bare),
+        ("Pairs that are always close (smaller clearance)", narrow),
+        ("Pairs that touch at nearly all postures (not checked)", touching),
+        ("Links whose meshes were not found (not checked)", clearance.unseen),
+        ("Joints whose links have no bodies (not checked)", clearance.bare),
     ):
         lines += [f"{why}: {', '.join(each)}."] if each else []
     return data, lines + in_sentences(blocked)

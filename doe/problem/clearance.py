@@ -1,20 +1,20 @@
-"""Clearance: how far the bodies of an arm keep from each other, from its cell and from a tracker's line of sight.
+"""Clearance: how far the bodies of an arm stay from each other, from its cell and from a tracker's line of sight.
 
 A body is a union of capsules and boxes (`identification.workspace`). The signed distance of two capsules with axes A
-and B and radii r and s is |a - b| - r - s at the nearest points a, b of the axes, the witness points; that of two
-bodies is the least of their pieces. Moving the witness points along the axes changes nothing to first order, so it
-changes with joint j by
+and B and radii r and s is |a - b| - r - s, where a and b, the witness points, are the nearest points of the axes. The
+distance of two bodies is the smallest one of their pieces. To first order, moving the witness points along the axes
+does not change the distance, so its derivative with respect to joint j is
 
     n . (da/dq_j - db/dq_j),     n = (a - b) / |a - b|,
     n . da/dq_j = z_j . (a x n) + (o_j x z_j) . n  for a joint that turns about z_j through o_j,  z_j . n if it slides,
 
-the points fixed to their bodies, and zero for a joint beyond the body: the line of the joint and the force along n in
-Pluecker coordinates (R. Featherstone, "Rigid Body Dynamics Algorithms", 2008, chapter 2). Second derivatives are
-differences of these.
+with the points fixed to their bodies, and zero for a joint that does not move the body: the line of the joint and the
+force along n in Pluecker coordinates (R. Featherstone, "Rigid Body Dynamics Algorithms", 2008, chapter 2). Second
+derivatives are finite differences of these.
 
-Pieces contain surfaces, so what keeps its distance here keeps it in truth; the reverse need not hold. Pairs that a
-joint connects are not looked at (`Cell.apart`), nor those that touch wherever the arm goes, which random postures tell;
-of a pair that is always near, as both neighbours of a short link, a quarter of its largest distance is asked at most.
+The pieces contain the real surfaces, so clear pieces mean clear bodies; the converse need not hold. Pairs connected by
+a joint are not checked (`Cell.apart`), nor are pairs that touch at nearly all random postures. A pair that is always
+close, such as both neighbours of a short link, must keep at most a quarter of its largest distance.
 """
 
 from collections.abc import Sequence
@@ -36,8 +36,8 @@ class Clearance:
     """The condition on a posture that bodies keep their distance: a constraint, as `doe.problem.constraints` has them.
 
     pairs : (k) names of both bodies;  asked : (k,) [mm] how far they are to keep apart, `usual` or less
-    touching : pairs that are not looked at since their pieces overlap wherever the arm goes
-    unseen, bare : links without meshes, and joints that carry a link that nobody has described
+    touching : pairs that are not checked, since their pieces overlap at nearly all postures
+    unseen, bare : links whose meshes were not found, and joints whose links have no bodies
     """
 
     kind = "clearance"

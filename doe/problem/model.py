@@ -77,8 +77,8 @@ class Offers(Protocol):
 
 PRISMATIC = "prismatic"  # the joint type whose position is a length
 NEEDS_SIGMA = (  # the end of a sentence
-    "needs the instrument's scatter: add to the arm file the line [measurement] and below it sigma_mm = 0.05, "
-    "or what the standard deviation of one coordinate is [mm]"
+    "needs the instrument's scatter: add the line [measurement] to the arm file and below it sigma_mm = 0.05, "
+    "or whatever the standard deviation of one coordinate is [mm]"
 )
 REQUIRED = (*DesignModel.__annotations__, "symbolic_position")
 

@@ -16,7 +16,7 @@ from identification.document import Pictures, Section
 
 STEPS = (
     "Step through the runs, move them, or strike them out: what is left is computed in this page, and the edited plan "
-    "is a file that armcal score reads. The figures are of criterion D for the model of the arm file alone, also where "
+    "is a file that armcal score reads. The figures are of criterion D for the model of the arm file alone, even if "
     "the plan was chosen by another criterion or with missing effects in mind (--robust)."
 )
 

@@ -29,7 +29,7 @@ from doe.solvers.solver import LONG_PLAN, LONG_PLAN_SECONDS, Budget, Offer, Solv
 from identification import Array, InputError, JobError, Plan, Progress, Status, additions, require
 
 AGREEMENT = 10  # independent local searches that end at the best value
-NEUTRAL = "under one payload, temperature, time and approach no posture distinguishes"
+NEUTRAL = "at one payload, temperature, time and approach direction no posture distinguishes"
 
 
 # -- solvers by name ---------------------------------------------------------------------------------------------------

@@ -206,11 +206,11 @@ def test_without_a_sigma_the_scatter_of_the_calibration_stands_in() -> None:
     assert with_scatter(replace(arm, sigma=0.1)) == (replace(arm, sigma=0.1), "")
     same, said = with_scatter(arm)
     assert same.sigma is None
-    assert "add to the arm file the line [measurement] and below it sigma_mm = " in said
+    assert "add the line [measurement] to the arm file and below it sigma_mm = " in said
     lengths = {f"length_error:{k}": 0.0 for k in (1, 2, 3)}
     found, said = with_scatter(replace(arm, calibration=Calibration(lengths, provenance={"scatter_mm": 0.254})))
     assert found.sigma == 0.254
-    assert "sigma_mm = 0.254, the scatter" in said
+    assert "sigma_mm = 0.254, the residual scatter" in said
     shown = advise(problem(arm), [4]).document()
     assert not any(isinstance(part, Sheet) and len(part.headings) != 2 for part in shown.parts)
 

@@ -195,7 +195,7 @@ def test_meshes_of_bodies_are_copied(folder: Folder) -> None:
         problem = DesignProblem.of(Model(arm))
     answer = with_collisions(Answer({}), problem)
     assert answer.data["collisions_checked"] is False
-    assert answer.document.parts[-1] == "Not looked at, since their meshes are not found: left."
+    assert answer.document.parts[-1] == "Links whose meshes were not found (not checked): left."
     (folder.path / "far").mkdir()  # where a calibrated arm is written, they are, too
     copies = arm_files(folder.path / "cell/arm.toml", [], Calibration({}), folder.path / "far/new.toml", "arm")
     names = ["far/new.toml", "far/r.urdf", "far/robot/meshes/a.stl", "far/meshes/b.stl"]

@@ -111,7 +111,7 @@ def test_validate_on_another_session_and_on_the_own_data(folder: Folder) -> None
 def test_a_plan_is_scored_by_its_weights_and_with_what_is_measured_already(folder: Folder) -> None:
     folder.said("relax arm.toml --grid 4 --no-check --out weights.csv")
     scored = folder.said("score arm.toml weights.csv")
-    assert "runs shared out by the weights" in folder.armcal("score arm.toml weights.csv").flat
+    assert "runs distributed by the weights" in folder.armcal("score arm.toml weights.csv").flat
     assert scored["criteria"]["D"] == pytest.approx(scored["log_det"], abs=1e-9)
     assert scored["observability"]["o1"] == pytest.approx(np.exp(scored["log_det"] / 16), abs=1e-9)  # p = 8
     seven = folder.said("design arm.toml --runs 7 --starts 5 --out seven.csv")
@@ -142,8 +142,8 @@ def test_backlash_is_invisible_where_every_joint_comes_from_the_same_side(folder
     assert sizes["both"][1] is not None
     folder.write("play.toml", folder.read("arm.toml") + '\n[[effects]]\nname = "backlash"\njoint = 2\n')
     printed = folder.armcal("score play.toml both.csv --seconds 0.1").flat  # its log det is of joints that come alike
-    assert "backlash:2.b, under one payload, temperature, time and approach" in printed
-    assert "directions of the plan count in the following; above, all are alike" in printed
+    assert "backlash:2.b, at one payload, temperature, time and approach direction" in printed
+    assert "temperatures and directions of the plan; the figures above do not" in printed
 
 
 # -- pages -------------------------------------------------------------------------------------------------------------

@@ -54,7 +54,7 @@ def rows_of(folder: Folder, name: str) -> list[dict[str, str]]:
 def test_candidates_that_are_left_out_are_counted(folder: Folder) -> None:
     folder.write("list.csv", folder.read("list.csv") + "401,0,0,0,3000\n")
     done = folder.armcal("relax arm.toml --candidates list.csv --no-check")
-    assert (done.code, "list.csv: 1 of 401 postures are outside the limits" in " ".join(done.err.split())) == (0, True)
+    assert (done.code, "list.csv: 1 of 401 postures violate the limits" in " ".join(done.err.split())) == (0, True)
 
 
 def test_a_plan_among_posts(cell: Folder) -> None:
@@ -143,7 +143,7 @@ def test_another_clearance(cell: Folder) -> None:
     """`--clearance-mm` prevails over `[cell]`, also to nothing; a plan for more room keeps it."""
     cell.said(f"{DESIGN} --clearance-mm 60 --out wide.csv")
     narrower = cell.armcal(*f"{DESIGN} --clearance-mm 9 --out narrow.csv".split())
-    assert "9 is less than clearance_mm = 10 of [cell], which check, score and program keep" in narrower.err
+    assert "9 is less than clearance_mm = 10 in [cell], which check, score and program use" in narrower.err
     cell.write("wide.toml", cell.read("arm.toml").replace("clearance_mm = 10.0", "clearance_mm = 60.0"))
     constraints = constraints_of(Model(load_arm("wide.toml")))
     wide, narrow = (
@@ -196,9 +196,9 @@ def test_sides_that_are_asked_for_and_not_driven_from_are_named(folder: Folder) 
     rows = [*4 * [0], *4 * [1]], [*4 * [5], 1, 1, -1, 1], [*4 * [9], *4 * [1]]
     folder.write("plan.csv", "\n".join(",".join(map(str, row)) for row in (names, *rows)))
     done = folder.armcal("program arm.toml plan.csv --robot kuka --out 7.src")
-    assert "7.src: a KUKA takes a program from a file of its name only: armcal_7.src" in done.out
+    assert "7.src: a KUKA needs a file with the name of the program: armcal_7.src" in done.out
     done = folder.armcal("program arm.toml plan.csv --robot kuka --out p.src")
-    assert "Joints come to run 2 from other sides than direction1.. of plan.csv say" in done.flat
+    assert "Without way-points, joints approach run 2 from other sides than direction1.. of plan.csv says" in done.flat
 
 
 def test_what_the_command_refuses(folder: Folder) -> None:

@@ -57,12 +57,12 @@ def test_every_plan_says_what_it_promises_beside_random_ones(two: Folder) -> Non
     """By the fit that the plan asks for, in words and in JSON; of a robust plan it is the criterion's own figure."""
     for words, fit in (("", None), (FEW, ASKED)):
         line = f"design arm.toml --runs 6 {words} --starts 1 --seed 1"
-        found = two.said(line)
-        tip = found["expected_tip"]
+        tip = (found := two.said(line))["expected_tip"]
         assert (tip["fit"], tip["random_plans"]) == (fit, 50)
         if fit is None:
-            text = f"{tip['plan_mm']:.3g} mm by this plan, {tip['random_median_mm']:.3g} mm by the median of 50 random"
-            assert f"{text} ones; better than {100.0 * tip['better_than']:.0f} % of them" in two.armcal(line).flat
+            text = f"{tip['plan_mm']:.3g} mm for this plan, {tip['random_median_mm']:.3g} mm for the median of 50"
+            text += f" random plans; better than {100.0 * tip['better_than']:.0f} % of them"
+            assert text in two.armcal(line).flat
         else:
             assert tip["plan_mm"] == pytest.approx(found["expected_error_mm"]["plan"], rel=1e-6)
     two.write("arm.toml", ARM.partition("[measurement]")[0])
@@ -105,7 +105,7 @@ def test_without_a_scatter_it_is_said_what_to_add(two: Folder, line: str, option
     """In one line, and what it says to add is what the command then accepts."""
     bare = two.write("arm.toml", ARM.partition("[measurement]")[0])
     two.refused(line, f"armcal: {option} needs the instrument's")
-    added = re.search(r"the line (\[.*\]) and below it (sigma_mm = [\d.]+)", two.armcal(line).err)
+    added = re.search(r"the line (\[.*\]) to the arm file and below it (sigma_mm = [\d.]+)", two.armcal(line).err)
     assert added is not None
     bare.write_text(bare.read_text() + "\n".join(added.groups()))
     assert two.armcal(line + {"--robust": " --missing gear_ratio --starts 1"}.get(option, " --runs 4:6")).code == 0
@@ -113,9 +113,9 @@ def test_without_a_scatter_it_is_said_what_to_add(two: Folder, line: str, option
 
 def test_what_a_robust_plan_does_not_count_is_said(two: Folder) -> None:
     done = two.armcal("design arm.toml --runs 6 --robust --missing gear_ratio,backlash --starts 1")
-    assert "--missing: the plan does not count backlash:1 (needs directions)" in done.err
-    assert "no plan of 6 runs from all postures is below" in done.flat
+    assert "--missing: the plan does not allow for backlash:1 (needs directions)" in done.err
+    assert "no plan of 6 runs from all postures can be below" in done.flat
     assert "if the arm has effects of --missing that its file does not name" in done.flat
-    allowed = "which also allows for what follows from the order of its rows"  # of the fit, not of the plan
+    allowed = "which also allows for effects of the order of the rows"  # of the fit, not of the plan
     assert allowed not in done.flat
     assert allowed in two.armcal("design arm.toml --runs 6 --robust --starts 1").flat

@@ -101,7 +101,7 @@ def test_what_no_way_leads_to_is_kept_and_named() -> None:
     assert move["distance_mm"] < 10.0
     assert driven.lines[-2:] == [
         "Moves: 1 may collide on the way:",
-        f"  to row {move['row']}: hand and above come to {move['distance_mm']:.0f} mm",
+        f"  to row {move['row']}: hand and above, smallest distance {move['distance_mm']:.0f} mm",
     ]
 
 
@@ -115,7 +115,7 @@ def test_runs_without_a_free_approach_are_named() -> None:
     below, above = (drive(problem, Plan(postures), "given", approach) for approach in ("positive", "negative"))
     np.testing.assert_array_equal(below.plan.postures, postures)
     assert (below.data["moves"]["no_approach"], below.moves.via.tolist()) == ([1], [False, True, False, True, False])
-    assert "but not to run 1: no free way was found there from that side" in below.lines
+    assert "no collision-free path from that side was found to run 1" in below.lines
     assert above.data["moves"]["no_approach"] == []
     assert all(inside(problem, each.moves.postures) for each in (below, above))
 
@@ -147,7 +147,7 @@ def test_joints_come_from_the_side_that_is_asked_for(approach: str, room: list[l
         rows = [int(np.flatnonzero((postures == q).all(axis=1))[0]) for q in found.plan.postures]
         wanted = {"positive": [1] * 6, "negative": [-1] * 6, "alternate": [1 - 2 * (row % 2) for row in rows]}
         assert come[:, 0].tolist() == wanted[approach]
-        assert any("plan and bound leave room for it at the limits" in line for line in found.lines)
+        assert any("plan and bound leave room for this at the limits" in line for line in found.lines)
         if problem.constraints:
             assert inside(problem, found.moves.postures)
         else:

@@ -193,7 +193,7 @@ def test_a_planar_arm_and_spheres() -> None:
     fold = np.array([0.5, 1.0, 2.0, 3.0])
     postures = np.column_stack([np.full(4, 0.7), fold])
     (clearance,) = constraints_of(Model(arm))
-    assert said_of_collisions([clearance], 2)[1] == ["Not looked at, since no body is known that moves with: joint 1."]
+    assert said_of_collisions([clearance], 2)[1] == ["Joints whose links have no bodies (not checked): joint 1."]
     np.testing.assert_allclose(Walls([clearance]).values(postures), clearance.margin(postures))
     np.testing.assert_allclose(clearance.margin(postures)[:, 0], 800.0 * np.cos(fold / 2.0) - 60.0, atol=1e-9)
 
@@ -248,8 +248,8 @@ def test_what_is_said_of_postures(clearance: Clearance, postures: Array) -> None
     assert f"{int(np.any(margins < -1e-3, axis=1).sum())} of {POSTURES} postures" in said[0]
     free = postures[np.all(margins >= 0.0, axis=1)]
     assert clearance.too_near(free) == []
-    for rows in (free, np.repeat(free, 2, axis=0)):  # repeats are no further postures
-        assert f"stay 20 mm apart in all {len(free)} postures" in said_of_collisions([clearance], 3, rows)[1][0]
+    for q in (free, np.repeat(free, 2, axis=0)):  # repeats are no further postures
+        assert f"stay at least 20 mm apart at all {len(free)} postures" in said_of_collisions([clearance], 3, q)[1][0]
     first = clearance.too_near(postures)[0]
     pair = clearance.pairs.index(tuple(first["bodies"]))
     assert first["distance_mm"] == clearance.distance(postures)[first["run"] - 1, pair]

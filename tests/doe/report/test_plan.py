@@ -53,14 +53,14 @@ def test_a_plan_in_a_sentence() -> None:
             SimpleNamespace(problem=stated, plan=plan, no_efficiency=no_efficiency, **(usual | values))
         )
 
-    assert verdict(efficiency=0.98765) == "The plan of 20 runs has the efficiency 0.9877 (D)."
+    assert verdict(efficiency=0.98765) == "The plan of 20 runs has an efficiency of 0.9877 (D)."
     assert verdict("D", "no bound is known") == "The plan of 20 runs has no efficiency: no bound is known (D)."
     listed = Bound(-9.0, "grid", True, candidates=2000)
     share = (0.0808**2 - 0.05**2) / (0.158**2 - 0.05**2)
     error = {"bound": listed, "efficiency": share, "expected_error": {"plan": 0.158, "bound": 0.0808}}
     said = verdict("I", **error)
-    figures = f"Efficiency {share:.4f}. Do not expect", "Of these 0.0500 mm"
-    for part in ("an error of 0.158 mm at the tip", "of 2,000 postures is below 0.0808 mm", *figures):
+    figures = f"Efficiency {share:.4f}. Do not expect", "No plan can reduce 0.0500 mm"
+    for part in ("an expected tip error of 0.158 mm", "of 2,000 postures can be below 0.0808 mm", *figures):
         assert part in said
     assert "bound" not in verdict("I", **(error | {"efficiency": None}))  # none applies
     optimal = "optimal up to a numerical bound"
