@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from pkgutil import resolve_name
@@ -404,17 +405,21 @@ def remarks(result: Diagnosis, skipped: Mapping[str, str], searched: int, status
     alone : whether the geometry alone predicts better
     """
     measurements = result.measurements
-    pairs = [(effect, like, share) for effect, like, share in result.aliases if "[" in like]
-    scanned, most = [effect for effect in result.effects if effect in {pair[0] for pair in pairs}], 3
-    for effect in scanned[:most]:
-        waves = [(like, share) for key, like, share in pairs if key == effect]
+    timed, most = {name for name, effect in library().items() if "time" in effect.needs}, 3
+    alike = dict[tuple[bool, str], list[tuple[str, float]]]()
+    for effect, like, share in result.aliases:
+        # a drift and an effect of the posture are alike where rows follow one another by posture
+        ordered = len({re.split(r"[:[]", label)[0] in timed for label in (effect, like)}) > 1
+        if effect in result.effects and (ordered or "[" in like):
+            alike.setdefault((not ordered, effect), []).append((like, share))
+    for (angles, effect), others in sorted(alike.items())[:most]:
+        where, how = ("at these postures", "at other joint angles") if angles else ("in this order", "in random order")
         # the odds stay below 20 up to lambda = 173
-        word = "cannot be distinguished from" if waves[0][1] > 0.9999 else "is hard to distinguish from"
-        rest = f" and {len(waves) - most} more" if len(waves) > most else ""
-        likes = f"{', '.join(like for like, _ in waves[:most])}{rest}"
-        yield f"at these postures {effect} {word} {likes}; to decide, measure at other joint angles"
-    if len(scanned) > most:
-        yield f"the same holds of {count_of(len(scanned) - most, 'more effect')}: --json lists them as aliases"
+        word = "cannot be distinguished from" if others[0][1] > 0.9999 else "is hard to distinguish from"
+        rest = f" and {len(others) - most} more" if len(others) > most else ""
+        yield f"{where} {effect} {word} {', '.join(like for like, _ in others[:most])}{rest}; to decide, measure {how}"
+    if len(alike) > most:
+        yield f"the same holds of {count_of(len(alike) - most, 'more effect')}: --json lists them as aliases"
     if result.curves:
         spans = [np.degrees([curve.angles[0], curve.angles[-1]]) for curve in result.curves]
         ranges = [f"joint {c.joint} {a:.0f} to {b:.0f} deg" for c, (a, b) in zip(result.curves, spans, strict=True)]

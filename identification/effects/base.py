@@ -6,9 +6,6 @@
 An effect is a class with a table of parameters and, by the names of their places, formulas of what it adds there.
 `add_effect` makes the library's own; a user's is a class under `register`. Settings of effects are numbers that are
 chosen rather than estimated, and the values that a scan tries.
-
-A contribution acts on the tip through the lever of its place, the derivative of the position with respect to what is
-added there. Levers depend on the fitted model only, so they serve all effects that might be missing.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -51,17 +48,21 @@ class Scope:
         return [float(j) for j, joint in joints if j != self.joint and joint.type != PRISMATIC]
 
     def step_times(self) -> list[float]:
-        """Times to try for a step: between rows, evenly spaced, and between sessions."""
+        """Times to try for a step: between rows, evenly spaced, and between sessions; not where all cups or other
+        targets of the instrument are changed: a step there is where they stand, in place of their known distance."""
         time = self.conditions.time
         if time is None or np.ptp(time) == 0.0:
             return list(np.linspace(-0.5, 0.5, 40)[2:-2])
         sessions = np.zeros(len(time)) if self.conditions.session is None else self.conditions.session
-        values = np.unique(clock(time, sessions))
-        between = 0.5 * (values[1:] + values[:-1])
+        clocks = clock(time, sessions)
+        values = np.unique(clocks)
+        between = np.round(0.5 * (values[1:] + values[:-1]), 9) + 0.0
         first = int(np.ceil(0.05 * len(between)))  # at either end a step would be a few rows
         inner = between[first : len(between) - first] if 2 * first < len(between) else between
         count = 100 if len(between) <= 400 else 40  # effort: of many rows fewer
         spread = inner[np.unique(np.linspace(0, len(inner) - 1, count).round().astype(int))]
+        if (marker := self.conditions.marker) is not None and self.arm.chain.instrument.targets:
+            spread = [at for at in spread if np.intersect1d(marker[clocks < at], marker[clocks > at]).size]
         return [*spread, *((np.unique(sessions)[1:] - 0.5) * SESSION)]
 
     def step_times_within(self) -> list[float]:

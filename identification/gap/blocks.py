@@ -439,7 +439,7 @@ def linearized(library: Library, at: Fitted, wrong: Sequence[int] = (), outside:
             white = np.ascontiguousarray(rows.whiten(np.concatenate([columns[k] for k in part], axis=2)).T)
             inside = white @ u
             rest = (white - inside @ u.T).reshape(len(part), width, -1)
-            before = np.einsum("pn,pn->p", white, white).reshape(len(part), width).sum(axis=1)
+            before = np.einsum("pn,pn->p", white, white).reshape(len(part), width)
             turns = _roots(rest @ rest.transpose(0, 2, 1), before, len(rows), [blocks[k] for k in part])
             seen, back_turned = np.any(turns != 0.0, axis=1), turns.transpose(0, 2, 1)
             rest, inside = back_turned @ rest, back_turned @ inside.reshape(len(part), width, -1)
@@ -459,18 +459,19 @@ def linearized(library: Library, at: Fitted, wrong: Sequence[int] = (), outside:
 def _roots(grams: Array, before: Array, rows: int, blocks: Sequence[Block]) -> Array:
     """(K, p, p) matrices that make columns of unit size of the own p of K blocks; zero columns for what cannot be seen.
 
-    grams : (K, p, p) products of their columns, projected off the base model;  before : (K,) their squares before
+    grams : (K, p, p) products of their columns, projected off the base model;  before : (K, p) their squares before
         projection, at so many rows
 
     An effect's prior covariance is the inverse of its information, a family's one common value with a relative scatter
     of 0.3, as the joints are of one make; what is outside the library has its own columns scaled alone.
     """
-    traces = np.trace(grams, axis1=1, axis2=2)
+    traces, squares = np.trace(grams, axis1=1, axis2=2), np.sum(before, axis=1)
     # a torque about an axis that the load cannot turn is rounding, and no reason for a column
     scales = [max((p.scale for p in b.effect.parameters), default=0.0) if b.effect else 0.0 for b in blocks]
-    visible = (traces > VISIBLE * before) & (before > (RANK_TOLERANCE * np.array(scales)) ** 2 * rows)
+    visible = (traces > VISIBLE * squares) & (squares > (RANK_TOLERANCE * np.array(scales)) ** 2 * rows)
     inside = np.array([b.listed for b in blocks])
-    lengths = np.sqrt(np.maximum(np.diagonal(grams, axis1=1, axis2=2), 1e-300))
+    # a column of which nothing is left beside others has no length to be scaled by
+    lengths = np.sqrt(np.maximum(np.diagonal(grams, axis1=1, axis2=2), np.maximum(VISIBLE * before, 1e-300)))
     lengths = np.where(inside[:, None], lengths, np.sqrt(np.maximum(traces, 1e-300))[:, None])
     values, vectors = np.linalg.eigh(grams / (lengths[:, :, None] * lengths[:, None, :]))
     seen = np.where(inside[:, None], significant(values, VISIBLE), values * SIZES[-1] ** 2 > FAINT)

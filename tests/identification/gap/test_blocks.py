@@ -13,7 +13,7 @@ import pytest
 from identification import Array, InputError, Measurements, Model, diagnose, load_arm, planar_chain, with_effects
 from identification.arm import Arm, EffectSpec, Gravity
 from identification.effects import ArmState, Effect, Parameter, Setting, base, build
-from identification.gap.blocks import Block, Library, hypotheses
+from identification.gap.blocks import Block, Library, _roots, hypotheses
 from identification.gap.fit import Fitted, Rows
 
 
@@ -166,3 +166,10 @@ def test_settings_in_files(tmp_path: Path) -> None:
             build(EffectSpec("breathing", None, {} if value is None else {"rate": value}), planar_chain(np.ones(2)))
     with pytest.raises(InputError, match=r"series:1: terms = 2.5, allowed: a whole number 2 to 3"):
         build(EffectSpec("series", 1, {"terms": 2.5}), planar_chain(np.ones(2)))
+
+
+def test_a_column_of_which_nothing_is_left_has_no_share() -> None:
+    """In line with another beside the base model it would move that without bounds."""
+    left = np.array([1.0, 1e-7])
+    root = _roots(np.outer(left, left)[None], np.ones((1, 2)), 10, [Block.of(ARM, EffectSpec("base_drift"), 1.0)])[0]
+    assert np.abs(root).max() == pytest.approx(1.0)

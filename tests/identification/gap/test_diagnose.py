@@ -321,6 +321,21 @@ def test_on_a_grid_the_ripples_that_an_effect_imitates_are_told() -> None:
     assert not any("cannot be distinguished from" in note for note in diagnosed("encoder_eccentricity").notes)
 
 
+@pytest.mark.parametrize(("name", "joint"), [("gear_ratio", 1), ("base_rotation_drift", None)])
+def test_drifts_are_like_effects_of_the_posture_where_the_rows_are_in_its_order(name: str, joint: int | None) -> None:
+    """A base that turns while joint 1 does, a step from row to row, is a gear ratio; in random order it is not."""
+    rng, notes = np.random.default_rng(5), []
+    q = np.column_stack([np.linspace(-3.0, 3.0, 60), rng.uniform(-3.0, 3.0, (60, 2))])
+    for order in (np.arange(60), rng.permutation(60)):
+        run = simulator.session(TRUTH, q[order], rng)
+        effect = cells.sized(TRUTH, run, (name, joint, cells.directions(TRUTH, name, joint, rng)), 25.0)
+        truth = replace(TRUTH, effects=[effect])
+        notes.append(" ".join(diagnose(ARM, simulator.recorded(truth, run, simulator.noise(truth, run, rng))).notes))
+    assert "in this order" in notes[0]
+    assert "to decide, measure in random order" in notes[0]
+    assert "in this order" not in notes[1]
+
+
 LENS = {
     "lens": lambda p, reach: p * np.abs(p) ** 2 / reach**2,
     "wave along y": lambda p, reach: 1j * np.cos(2.0 * np.pi * p.imag / (0.6 * reach) + 1.0),

@@ -35,10 +35,16 @@ def apart(cups: dict[str, list[float]], first: str, second: str) -> float:
 
 
 def rows(
-    truth: Exponentials, cups: dict[str, list[float]], each: int, noise: float, generator: np.random.Generator
+    truth: Exponentials,
+    cups: dict[str, list[float]],
+    each: int,
+    noise: float,
+    generator: np.random.Generator,
+    one_by_one: bool = False,
 ) -> Measurements:
-    """As many orientations of each cup, in random order."""
-    order = generator.permutation(np.repeat([*cups], each))
+    """As many orientations of each cup, in random order or one cup after the other."""
+    order = np.repeat([*cups], each)
+    order = order if one_by_one else generator.permutation(order)
     q = seated(truth, np.array([cups[name] for name in order]), noise, generator)
     return Measurements(q, np.zeros((len(q), 3)), marker=order)
 
@@ -100,11 +106,15 @@ def test_without_a_distance_the_size_is_open() -> None:
     assert np.std(errors / lengths) * lengths.mean() < 2.0 * NOISE
 
 
-def test_nothing_is_missing_where_the_size_is_open() -> None:
-    """An axis that may shift makes a smaller arm, which fits better the smaller it is."""
+@pytest.mark.parametrize("one_by_one", [False, True])
+def test_nothing_is_missing_where_a_smaller_arm_fits_better(one_by_one: bool) -> None:
+    """Where the size is open axes that may shift make a smaller arm; where the cups of a bar are taken one after the
+    other, a step in between that takes the place of their distance."""
     generator = np.random.default_rng(1)
-    data = rows(Exponentials(generator), CUPS, 20, NOISE, generator)
-    found = diagnose(Arm(replace(drawing(), instrument=Socket()), sigma=NOISE), data)
+    cups = {"A": CUPS["A"], "B": [450.0, -150.0, 100.0]} if one_by_one else CUPS
+    data = rows(Exponentials(generator), cups, 80 // len(cups), NOISE, generator, one_by_one)
+    known = (("A", "B", apart(cups, "A", "B")),) if one_by_one else ()
+    found = diagnose(Arm(replace(drawing(), instrument=Socket(distances=known)), sigma=NOISE), data)
     assert found.verdict == "none"
 
 
