@@ -257,8 +257,8 @@ def diagnosis_document(
         headings = ("effect", "session", "fitted there", "P(the same)", "replicates")
         sections.append(Section("Across sessions", [ACROSS_SESSIONS, Sheet(headings, sessions)]))
     sections.append(Section("The gap, before and after", [*gap_parts(data, nominal), picture("gap_figure")]))
-    # beside something unknown a fit of the names alone is off by what they take of it
-    best = diagnosis.predicting if data["verdict"] == "unknown" else named
+    # of several explanations none alone; beside something unknown the names are off by what they take of it
+    best = diagnosis.predicting if data["verdict"] in ("ambiguous", "unknown") else named
     undetermined = [name for name, (low, _) in named.limits_95.items() if np.isnan(low)]
     extended = diagnosis.extended_arm(best)
     values = corrected_values(extended, extended.calibration, unknown=undetermined)

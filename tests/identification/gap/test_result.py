@@ -7,7 +7,8 @@ import pytest
 
 from doe.studies.blind.study import contradictions
 from identification import EffectSpec
-from identification.documents.diagnosis import missing_parts
+from identification.document import Section, Sheet
+from identification.documents.diagnosis import diagnosis_document, missing_parts
 from identification.estimation.uncertainty import LEVEL_95 as LEVEL
 from identification.gap.result import Candidate, Diagnosis, Probabilities
 from identification.gap.search import CREDIBLE, MOST
@@ -97,3 +98,17 @@ def test_nothing_that_a_diagnosis_says_contradicts_its_probabilities() -> None:
         line = next(part for part in missing_parts(said) if str(part).startswith("Probability"))
         for title, p in found.probability.items():
             assert p < 0.005 or f"{title} {p:.2f}" in str(line)
+
+
+def test_corrected_values_of_several_explanations_are_those_that_are_written() -> None:
+    """Of one that is named, its own; where two explain the data, of the model that predicts: the geometry here."""
+    clear, plain = diagnosed("backlash"), diagnosed(None)
+    rival = replace(clear.named, effects=("encoder_eccentricity:2",), probability=0.4)
+    several = Probabilities({clear.named.effects: 0.45, rival.effects: 0.4, (): 0.1, None: 0.05}, {})
+    for sets, likely in (((clear.named,), clear.probabilities), ((clear.named, rival), several)):
+        found = replace(clear, probabilities=likely, candidates=sets, predicting=plain.named, curves=())
+        sections = [part for part in diagnosis_document(found).parts if isinstance(part, Section)]
+        table = next(section for section in sections if section.title == "Corrected values").parts[0]
+        assert isinstance(table, Sheet)
+        assert found.verdict == ("named" if len(sets) == 1 else "ambiguous")
+        assert any("backlash" in row[0] for row in table.rows) == (len(sets) == 1)
