@@ -166,10 +166,7 @@ class Design(PlanOfProblem):
         plan, beside = self.plan, self.columns_beside
         if plan.weights is not None:
             beside["weight"] = [f"{share:.5f}" for share in plan.shares]
-        numbered = enumerate(zip(plan.displayed, *beside.values(), strict=True), start=1)
-        rows = [[str(run), *(f"{angle:.3f}" for angle in q), *more] for run, (q, *more) in numbered]
-        table = Sheet(["run", *plan.headings, *beside], rows, "Plan", 24)
-        parts = [self._facts(), *self._remarks(), table, *self._accuracy(), *self._missing()]
+        parts = [self._facts(), *self._remarks(), plan.sheet("Plan", beside, 24), *self._accuracy(), *self._missing()]
         return Document("Plan", [self.verdict], parts)
 
     @property

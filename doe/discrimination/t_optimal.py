@@ -17,7 +17,7 @@ from scipy.special import ndtr
 
 from doe.problem.problem import DesignProblem, Stop, never, random_postures
 from identification import Array, InputError, Plan, Status, require
-from identification.document import Document, Documented, Sheet
+from identification.document import Document, Documented
 
 
 @dataclass(frozen=True, repr=False)
@@ -62,16 +62,19 @@ class NextPostures(Documented):
     def document(self) -> Document:
         """The chance, the rivals, the postures, and what to do before their rows can be appended: measurements without
         a payload column mean the arm's own payload."""
-        columns = {"run": np.arange(1, len(self.plan) + 1), **self.plan.columns, **self.columns}
-        arm, measured = self.diagnosis.arm, self.diagnosis.measurements.conditions
-        rows = [[f"{value:g}" for value in row] for row in zip(*columns.values(), strict=True)]
+        arm, measured, beside = self.diagnosis.arm, self.diagnosis.measurements.conditions, dict[str, list[str]]()
+        if (payload := self.plan.conditions.get("payload")) is not None:
+            beside["payload_kg"] = [f"{value:g}" for value in payload]
+        if self.directions is not None:
+            sides = np.where(self.directions > 0.0, "+", "-")
+            beside[f"directions 1 to {sides.shape[1]}"] = [" ".join(signs) for signs in sides.tolist()]
         notes = []
-        if "payload_kg" in columns and measured.payload is None and arm.gravity is not None:
+        if "payload_kg" in beside and measured.payload is None and arm.gravity is not None:
             notes = [f"note: the measured rows need a column payload_kg too: {arm.gravity.payload:g} in each of them"]
         cut = ", their search was cut" if self.status is not Status.local_optimum else ""
         chance = f"at most {100.0 * self.chance:.0f} %, by a linear estimate"
         verdict = f"{len(self.plan)} postures{cut}; probability that the right candidate alone is left: {chance}"
-        table = Sheet(list(columns), rows, "Next postures")
+        table = self.plan.sheet("Next postures", beside)
         return Document("Next postures", [verdict], [self.diagnosis.sentence, table, *notes])
 
 

@@ -338,6 +338,12 @@ class Plan(ByValue):
         """(m, n) postures in `units`, as the controller counts."""
         return readonly(np.column_stack([*self.columns.values()]))
 
+    def sheet(self, title: str, beside: Mapping[str, Sequence[str]], most: int | None = None) -> Sheet:
+        """One row per run;  beside : further columns of ready text"""
+        numbered = enumerate(zip(self.displayed, *beside.values(), strict=True), start=1)
+        rows = [[str(run), *(f"{angle:.3f}" for angle in q), *more] for run, (q, *more) in numbered]
+        return Sheet(["run", *self.headings, *beside], rows, title, most)
+
     def to_json(self) -> dict[str, Any]:
         """Keys `postures_deg`, or of an arm that slides `postures` and `joint_units`."""
         shown = self.displayed.tolist()

@@ -11,6 +11,7 @@ import pytest
 from doe.discrimination.t_optimal import RivalPredictions, discriminate
 from doe.problem.constraints import constraints_of
 from identification import Arm, Diagnosis, EffectSpec, Gravity, InputError, Model, Status, chain_of, diagnose
+from identification.document import Sheet
 from identification.kinematics.counting import Counting
 from identification.kinematics.frames import from_roll_pitch_yaw, pose
 from identification.measurements import Conditions, Measurements, rms_distance
@@ -93,7 +94,13 @@ def test_chosen_postures_beat_random_ones() -> None:
     assert best.chance >= max(chances)
     assert best.chance <= sum(c.probability for c in found.candidates)  # perhaps none of them is right
     # named from half on
-    assert best.document().verdict[0].endswith(f"left: at most {100.0 * best.chance:.0f} %, by a linear estimate")
+    sides = np.where(np.random.default_rng(4).random(best.plan.postures.shape) < 0.5, -1.0, 1.0)
+    document = replace(best, directions=sides).document()
+    assert document.verdict[0].endswith(f"left: at most {100.0 * best.chance:.0f} %, by a linear estimate")
+    (table,) = (part for part in document.parts if isinstance(part, Sheet))
+    for run, (row, angles, signs) in enumerate(zip(table.rows, best.plan.displayed, sides, strict=True), start=1):
+        assert [float(cell) for cell in row[:-1]] == pytest.approx([run, *angles], abs=5.1e-4)
+        assert [float(f"{sign}1") for sign in row[-1].split()] == signs.tolist()
 
 
 def ctrl_c() -> bool:
