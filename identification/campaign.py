@@ -18,8 +18,8 @@ from identification.validate import Validation, validate
 
 ALLOWED = "arm files (.toml), plans and measurements (.csv)"
 PLACED = (
-    "Everything stays as it is in the file but for where the arm stands, which is fitted to each set of measurements; "
-    "so it is for the drawing."
+    "Only the base pose is fitted to each set of measurements, also for the drawing; everything else stays as it is in "
+    "the file."
 )
 
 
@@ -77,7 +77,7 @@ def campaign_document(
     if len(calibrated) > 1:
         why = f"it leaves the smallest error on {' and '.join(fresh)}" if fresh else "it is the last given"
         others = " and ".join(name for name in calibrated if name != model)
-        lines.append(f"Of the calibrations the next steps use {model}: {why}. Beside it: {others}.")
+        lines.append(f"The next steps use the calibration {model}: {why}. Other calibrations: {others}.")
     lines += [f"The plan {name} has {count_of(len(plan.measured), 'run')}." for name, plan in plans.items()]
     verdict = lines or [f"Read: {', '.join(f'{name} ({kind})' for name, kind in kinds.items())}."]
 
@@ -99,17 +99,17 @@ def campaign_document(
     if worse := [rows for rows, test in left.items() if test.model.rms >= test.nominal.rms]:
         pooled = " ".join(["armcal diagnose", arm_file, *data])
         doubt = f"Do not use {model} as it is: on {' and '.join(worse)} it is no better than the drawing (see there)."
-        actions = [Action(doubt), Action("See what all measurements together say, each file as a session:", pooled)]
+        actions = [Action(doubt), Action("Diagnose all measurements together, each file as a session:", pooled)]
     elif model:
         actions = [*([] if Model(calibrated[model]).complete else [look]), *([] if elsewhere else [hold]), use]
     elif measurements:
         actions = [Action("Identify the arm:", shown.identify_command(arm_file, data[0], fit)), look]
     else:
-        why = ", as the plan is meant: what it promises is of this fit" if fit else ""
+        why = ", with the fit that the plan was designed for" if fit else ""
         measure = f"Measure the postures of {next(iter(plans), 'plan.csv')}, and write the positions beside the"
         actions = [
             Action(f"{measure} angles (armcal help formats)."),
-            Action("See whether the data are what they should be:", f"armcal check {arm_file} data.csv"),
+            Action("Check the data:", f"armcal check {arm_file} data.csv"),
             Action(f"Identify the arm{why}:", shown.identify_command(arm_file, "data.csv", fit)),
         ]
     return Document(f"Calibration report: {drawn.name}".removesuffix(": "), verdict, sections, actions), kinds

@@ -109,7 +109,7 @@ def compensate(
         familiar = low, high
     boxes = [limits] if nominal is not None or np.array_equal(familiar, limits) else [familiar, limits]
     where, (tip, *others) = replace(conditions or Conditions(), orientation=turned), arm.chain.tools
-    assumed = [f"targets are where measured point {tip} goes, not {', '.join(others)}"] if others else []
+    assumed = [f"targets are for measured point {tip}, not for {', '.join(others)}"] if others else []
     if where.time is None and (once := [effect.key for effect in model.effects if effect.once]):
         where = where.afterwards(len(goals))
         assumed.append(f"{', '.join(once)}: the value at the end of the session of the identification is used")
@@ -120,7 +120,7 @@ def compensate(
     if where.payload is None and (loaded := [e.key for e in model.effects if "gravity" in e.needs]):
         assumed.append(f"{', '.join(loaded)}: taken with the payload of the arm file, {arm.payload:g} kg")
     if arm.chain.instrument.reads_positions and (read := [e.key for e in model.effects if hasattr(e, "instrument")]):
-        assumed.append(f"{', '.join(read)}: an error of the instrument, which targets are taken to have as readings do")
+        assumed.append(f"{', '.join(read)}: an instrument error, which targets are assumed to have, as readings do")
     near = np.tile(np.add(*familiar) / 2.0, (len(goals), 1)) if nominal is None else nominal
     task, sided = Task(model, goals, near, where, *limits, constraints, tolerance), tuple[str, ...]()
     commands, driven = task.reached_within(boxes)
@@ -246,7 +246,7 @@ class Compensation(Documented, ReadOnly):
     def warnings(self) -> list[str]:
         """What must be known of the commands, in sentences."""
         beyond = extrapolated(self.outside, "targets")
-        notes = [] if beyond is None else [f"{beyond}, and the error that is left may be larger than it says"]
+        notes = [] if beyond is None else [f"{beyond}, and the remaining error may be larger than stated"]
         # of more than half of the targets out of reach, the frame or the unit is likelier to be wrong than each of them
         if (out := np.count_nonzero(~self.near)) > 0.5 * len(self.targets):
             frame = "are they in mm, and in the frame of the measurements that calibrated the arm"
@@ -254,7 +254,7 @@ class Compensation(Documented, ReadOnly):
         if close := np.count_nonzero(self.reached & (self.errors > TOLERANCE)):
             most = f"by {float(np.max(self.errors[self.reached])):.2g} mm at most"
             least = f"within the {self.tolerance:.2g} mm that 999 of 1,000 measured positions are off by"
-            notes.append(f"{close} of the targets reached are missed {most}, {least}: no posture of the arm is nearer")
+            notes.append(f"{close} of the reached targets are missed {most}, {least}: no posture comes closer")
         notes += self.assumed if self.reached.any() else ()
         if self.sided and self.reached.any():
             # how columns of the controller move if all joints rise: q_j = sign_j c_j -+ sign_k c_k where coupled
@@ -262,9 +262,9 @@ class Compensation(Documented, ReadOnly):
             falling = ", ".join(str(j) for j, sign in enumerate(counting.sign, start=1) if sign < 0)
             rising = f"rising, but {falling} falling" if falling else "rising"
             rising += "".join(f", {j} by more than {k}" for j, k in enumerate(counting.coupled_to, start=1) if k > 0)
-            side = f"{', '.join(self.sided)}: the error depends on the side that a joint comes from"
+            side = f"{', '.join(self.sided)}: the error depends on the approach direction"
             notes.append(
-                f"{side}. Drive the targets in this order, and to the first from afar with every joint {rising}"
+                f"{side}. Approach the targets in this order, and the first from a distance with every joint {rising}"
             )
         return notes
 
@@ -296,10 +296,10 @@ class Compensation(Documented, ReadOnly):
             verdict += f" (RMS {rms:.4g} mm on its own measurements)"
         if self.angles is not None and reached.any():
             most = float(np.degrees(np.max(self.angles[reached])))
-            verdict += f"; orientations are those wanted to {miss_text(most)} deg, by the same model"
+            verdict += f"; orientations are reached to {miss_text(most)} deg, by the same model"
         verdict += "."
         if missed := int(np.count_nonzero(~reached)):
-            counts = {"out of reach": np.sum(~near), "barred by a constraint": np.sum(near & ~reached)}
+            counts = {"out of reach": np.sum(~near), "blocked by a constraint": np.sum(near & ~reached)}
             why = [f"{count} {reason}" for reason, count in counts.items() if count]
             counted = ", ".join(why) if len(why) > 1 else why[0].partition(" ")[2]
             have = "have" if missed > 1 else "has"

@@ -158,11 +158,11 @@ class ArmModel(Model):
             if len(kept) == CHOICES:
                 break
         if len(kept) < 100:  # with fewer a plan has no choice
-            reason = f"touched within limits and constraints at {len(kept)} of {batch * batches} random postures led to"
+            reason = f"reached within limits and constraints from {len(kept)} of {batch * batches} random postures"
             side = ", its normal on the side of the arm" if "normal" in chain.instrument.keys else ""
-            raise InputError(f"instrument: the {chain.instrument.kind} is {reason} it, allowed: one within reach{side}")
-        what = f"{len(kept)} random postures that touch the {chain.instrument.kind} as the arm is best known"
-        warnings.warn(f"instrument: plans are chosen from {what}, and bounds are over these", stacklevel=2)
+            raise InputError(f"instrument: the {chain.instrument.kind} is {reason}, allowed: one within reach{side}")
+        what = f"{len(kept)} random postures that touch the {chain.instrument.kind} by the best known model"
+        warnings.warn(f"instrument: plans are chosen from {what}, and bounds hold for these", stacklevel=2)
         return kept
 
     def plan_columns(self, postures: Array) -> dict[str, list[str]]:
@@ -319,13 +319,13 @@ def with_points(chain: KinematicChain, contacts: bool = False) -> KinematicChain
         chain.refuse_contacts()
     if (instrument.contact or instrument.own_targets) and not stands:
         keys = sorted(instrument.keys & {"center_mm", "normal", "cups"})
-        reason = f"kind {instrument.kind} without {keys[0]}: where it is touched is not known"
+        reason = f"kind {instrument.kind} without {keys[0]}: the place of contact is not known"
         allowed = f"allowed for plans: with {' and '.join(keys)}, or a calibrated arm"
         raise InputError(f"instrument: found {reason}, {allowed}")
     if not instrument.reads_positions and not stands:
         away = 0.5 * chain.reach
-        assumed = f"{away:.0f} mm before the base, on its x axis, is assumed; give instrument.center_mm"
-        warnings.warn(f"instrument: the center is not known, {assumed}", stacklevel=2)
+        assumed = f"a point {away:.0f} mm in front of the base, on its x axis, is assumed; give instrument.center_mm"
+        warnings.warn(f"instrument: the center is not known; {assumed}", stacklevel=2)
         chain = replace(chain, base=pose([-away, 0.0, 0.0]))
     names = [name for name, at in chain.tools.items() if not np.any(at[:3, 3])]
     if TOOL in chain.settled or not names:
@@ -337,5 +337,5 @@ def with_points(chain: KinematicChain, contacts: bool = False) -> KinematicChain
     places = away * (np.cos(turns)[:, None] * across + np.sin(turns)[:, None] * other)
     where = "; ".join(", ".join(f"{x:z.0f}" for x in place) for place in places.tolist())
     assumed = f"{away:g} mm beside the last axis is assumed, at {where} mm in the frame of the tip"
-    warnings.warn(f"tool: {beside} is not known, {assumed}", stacklevel=2)
+    warnings.warn(f"tool: the place of {beside} is not known; {assumed}", stacklevel=2)
     return replace(chain, tools={**chain.tools, **dict(zip(names, places, strict=True))})

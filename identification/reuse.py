@@ -138,14 +138,14 @@ def earlier(calibrated: Arm, model: Model, measurements: Measurements) -> Calibr
         raise InputError("prior: a calibration of another drawing, allowed: of the same lengths and frames")
     of_its_model, of_this = ({e.label for e in m.effects} for m in (Model(without_prior_effects(calibrated)), model))
     if lacking := sorted(of_its_model - {*of_this, "base_offset"}):
-        beside = f"it holds beside {', '.join(lacking)}, which the model does not have; give the file as ARM, too"
+        beside = f"it was fitted with {', '.join(lacking)}, which the model does not have; give the file as ARM, too"
         warnings.warn(f"prior: {beside}", UserWarning, stacklevel=2)
     shared, of_its = 0.0, 0.0  # of these rows that are among its own, and of its own
     if isinstance(text := calibration.provenance.get(ROW_DIGESTS), str):
         shared, of_its = measurements.shared_rows(text)
     else:
-        why = "the calibration does not say which rows it comes from, as of an earlier version"
-        warnings.warn(f"prior: {why}; measurements that are among them would count twice", UserWarning, stacklevel=2)
+        why = "the calibration does not say which rows it was fitted to, as those of earlier versions"
+        warnings.warn(f"prior: {why}; measurements among them would count twice", UserWarning, stacklevel=2)
     share = f"about {100.0 * shared:.0f} % of these rows ({100.0 * of_its:.0f} % of the calibration's own)"
     twice = "are among those it was fitted to, which would count twice, allowed: new measurements"
     require(max(shared, of_its) < MOST, f"prior: {share} {twice}")
@@ -179,7 +179,7 @@ def with_base_doubt(held: Identification, arm: Arm, words: Sequence[str], measur
     frozen = set(held.model.held or ())
     once = [e.key for e in held.model.effects if e.once and not frozen.isdisjoint(p.name for p in e.parameters)]
     if once and measurements.share_fitted(arm.provenance) < MOST:
-        again = f"{', '.join(once)}: held, and so taken to happen again from the first of these rows to the last"
+        again = f"{', '.join(once)}: held, and so assumed to happen again from the first of these rows to the last"
         held = replace(held, doubts=(*held.doubts, f"{again}; estimate it, too: --only {','.join([*once, *words])}"))
     try:
         model = only(arm, ["base", *words], measurements)
@@ -190,6 +190,6 @@ def with_base_doubt(held: Identification, arm: Arm, words: Sequence[str], measur
     if not worth_freeing(left, left_free, len(free.names) - len(held.names), free.dof, FALL**2):
         return held
     fall = f"the RMS falls from {held.rms_after:.4g} to {free.rms_after:.4g} mm"
-    reason = f"the arm does not stand where the arm file says: {fall} where the base is estimated, too"
+    reason = f"the base pose is not that of the arm file: {fall} if the base is estimated, too"
     others = (doubt for doubt in held.doubts if not doubt.startswith(OTHER_FRAME))
     return replace(held, doubts=(f"{reason}; add it: --only base,{','.join(words)}", *others))

@@ -123,8 +123,8 @@ class Validation(Documented, ReadOnly):
         fresh = [name for name in names if name not in tools]
         if refit != "none":  # measured points that the calibration does not have are fitted
             if not names and len(tools) > 1:
-                several = "where they are of several, name them in the column marker"
-                alone = "the rows are taken to be of one reflector, whose position was fitted to them"
+                several = "if there are several, name them in the column marker"
+                alone = "the rows are assumed to be of one reflector; its position was fitted to them"
                 yield f"no column marker: {alone}; {several}"
             elif fresh and not len(tools) == 1 == len(names):
                 its = "its position was" if len(fresh) == 1 else "their positions were"
@@ -142,7 +142,7 @@ class Validation(Documented, ReadOnly):
                 # convention: a quarter less is more than the numbers refitted take from the noise of a few postures
                 if rms_distance(anew) < 0.75 * self.model.rms and chance <= LEVEL_95 / 2.0:
                     left = in_a_sentence(rms_distance(anew))
-                    yield f"with where the arm stands refitted, as without --refit none, it leaves {left} mm RMS"
+                    yield f"with the base refitted, as without --refit none, it leaves {left} mm RMS"
         model = Model(arm)
         if once := [effect.key for effect in model.effects if effect.once and own < MOST]:
             at_end = "the value at the end of the session of the identification is used in all rows"

@@ -181,10 +181,10 @@ def init_files(
     if "EXAMPLE" in files[ARM]:
         steps.append(f"replace what is marked EXAMPLE in {out / ARM}")
     if "\n[gravity]" in files[ARM]:
-        upright = "the masses of the URDF file, on a base that stands upright; if it does not, change [gravity]"
+        upright = "the masses of the URDF file, with an upright base; if it is not upright, change [gravity]"
         steps.append(f"gravity: {upright}")
     if missing:
-        looked = "plans will not look at collisions of these links; armcal init --package-dir finds and copies them"
+        looked = "plans will not check these links for collisions; armcal init --package-dir finds and copies meshes"
         steps.append(f"{len(missing)} meshes are not found as .stl or .obj, the first of them {missing[0]}: {looked}")
     steps.append(f"in {out}: {step.partition('  #')[0].rstrip()}")
     document = Document(parts=[f"written: {', '.join(written)}", *steps])
@@ -205,10 +205,10 @@ def check_files(
 
     Look at the measurements DATA of ARM, or at the postures of a plan, before anything is fitted in earnest.
 
-    Rows, ranges against limits, units, repeats, what the drawing leaves after fitting where the arm stands, joints that
-    turn the other way, swapped columns, other zeros, mirrored frames, and what can and cannot be found from these data.
+    Rows, ranges against limits, units, repeats, the error of the drawing after fitting the base pose, joints that turn
+    the other way, swapped columns, other zeros, mirrored frames, and what these data can and cannot determine.
 
-    The exit code is 0 also where something is to be put right first: a script reads `ok` of --json.
+    The exit code is 0 even if something must be corrected first: scripts read the key `ok` of --json.
     """
     import numpy as np
 
@@ -237,7 +237,7 @@ def check_files(
     _, near, lines = allowed(Model(loaded), measurements.postures)
     inspection.data.update(near)
     if "collisions" in near and inspection.data["better_reading"]:
-        lines = ["Collisions: not looked at, since rows seem to be read wrongly."]
+        lines = ["Collisions: not checked, since the rows seem to be misread."]
     return Answer(inspection.to_json(), inspection.document(str(arm), str(data)).plus(*lines), inspection)
 
 
@@ -349,10 +349,10 @@ def identify_files(
         measurements = replace(measurements, reference=float(reference))
 
     # with the library's prior, as the options, the plan or an earlier fit say
-    meant, how = f"{data} says # fit: {measurements.fit}", "with the prior of the library, as the plan is meant"
+    meant, how = f"{data} says # fit: {measurements.fit}", "with the prior of the library, as the plan was designed"
     asked, bare = measurements.fit, loaded if chosen else without_prior_effects(loaded)
     if not asked and bare is not loaded:
-        asked, meant, how = "library-prior", f"{arm} is of such a fit", "with the prior of the library again"
+        asked, meant, how = "library-prior", f"{arm} comes from such a fit", "with the prior of the library again"
     if asked:
         refused = "--no-library-prior" if prior is False else "--only" if chosen and not prior else None
         keys["fit"] = {"asked": asked, "followed": refused is None, "against": refused}
@@ -361,7 +361,7 @@ def identify_files(
             missing = missing or (words(listed) if listed else None)
             lines.append(f"Fitted {how}: {meant} (--no-library-prior fits without).")
         else:
-            why = f"because of {refused}, although {meant}: what the plan promises is of a fit with it"
+            why = f"because of {refused}, although {meant}: the expected error of the plan is for a fit with it"
             lines.append(f"Not fitted with the prior of the library, {why}.")
     require(missing is None or prior, "--missing: found without --library-prior, allowed: with --library-prior")
 
@@ -398,8 +398,8 @@ def identify_files(
         keys["only"] = chosen
         fitted = reuse.with_base_doubt(fitted, with_sessions(bare, rows), chosen, rows)
         fitted = reuse.with_held(fitted, bare.calibration, rows)
-        exact = "taken as exact: what they are off by is in no interval and no expected error"
-        off = "and what they are off by there is in intervals and expected error" if fitted.held else exact
+        exact = "taken as exact: their errors are in no interval and no expected error"
+        off = "and their uncertainty there is in intervals and expected error" if fitted.held else exact
         lines.append(f"Estimated: {', '.join(chosen)}; the others stay as in the arm file, {off}.")
 
     # beside the drawing, and beside the geometry alone
@@ -424,7 +424,7 @@ def identify_files(
     if fitted.not_identifiable:
         refusal = "not every parameter is estimable from the data"
     elif fitted.status is Status.implausible and not force:
-        refusal = "the fit is implausible; --force writes it all the same"
+        refusal = "the fit is implausible; --force writes it anyway"
     if fitted.not_identifiable or (refusal and asked_for):
         lines += [f"{path} was not written: {refusal}" for path in asked_for]
         return Answer(result, fitted.document(result, hidden).plus(*lines), fitted, 1, doubts)
@@ -486,7 +486,7 @@ def diagnose_files(
     result, names, files = diagnosis.to_json(), [*map(str, (arm, *data))], Files()
     against = [f"not confirmed: {holds_in_words(test)[1]}" for test in tests_of(result) if test["confirmed"] is False]
     if out is not None and refuted(result) and not force:
-        warnings.warn(f"{out} was not written: not confirmed; --force writes it all the same", stacklevel=2)
+        warnings.warn(f"{out} was not written: not confirmed; --force writes it anyway", stacklevel=2)
     elif out is not None:
         model = diagnosis.extended_arm(diagnosis.named if named_only else None)
         assert model.calibration is not None  # a diagnosis has one

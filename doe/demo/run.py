@@ -166,7 +166,7 @@ def demo_document(demo: Demo) -> Document:
     summary = (
         f"A plan of {len(design.plan)} runs ({how_good(design)}). The RMS error on 200 fresh postures falls "
         f"from {gaps['drawing']:.2f} mm (drawing) to {gaps['identified']:.3f} mm (calibrated) and "
-        f"{gaps['extended']:.3f} mm ({last} alone), the place of the arm refitted; "
+        f"{gaps['extended']:.3f} mm ({last} alone), the base refitted; "
         f"measurement noise alone gives {gaps['noise']:.3f} mm. "
         f"Commands corrected with this model miss {hidden['targets_reached']} targets by "
         f"{hidden['targets_corrected_mm']:.3f} mm RMS, uncorrected ones by {hidden['targets_as_drawn_mm']:.2f} mm."

@@ -41,28 +41,28 @@ SCATTER = {  # kind of a finding -> what it is, before its size
     "joint_noise": "larger the farther joint {joint} moves the point, by a relative variance of",
     "reach_noise": "larger far from the base, by a relative variance of",
     "time_noise": "larger {when} in the session, by a relative variance of",
-    "serial_correlation": "rows measured one after the other err alike, as in a drift, lag-1 correlation",
-    "repeats": "rows of one posture err alike, by a relative variance of",
+    "serial_correlation": "errors of successive rows are correlated, as in a drift, lag-1 correlation",
+    "repeats": "rows of one posture share an error, by a relative variance of",
 }
 NOISE_FROM = {"repeats": "repeats", "close_repeats": "repeats close in time", "sigma": "sigma_mm"}
 ABOUT_GAP = (
-    "RMS distance between model and measurement, before as armcal identify leaves it. Expected on the data: less than "
-    "{}, some of which a fit follows; on others what the model predicts. A smaller gap alone does not prove a name."
+    "RMS distance between model and measurement. Before: what armcal identify leaves. Expected on the data: less than "
+    "{}, part of which a fit follows; on other rows: as the model predicts. A smaller gap alone does not prove a name."
 )
 ACROSS_SESSIONS = (
-    "Every session has a base of its own, everything else is shared. Fitted there: the effect's values from this "
-    "session alone. P(the same): how likely it is that they are those of the other sessions. An effect replicates "
-    "where that is 0.9 or more."
+    "Every session has its own base; everything else is shared. Fitted there: the effect's values from this session "
+    "alone. P(the same): probability that they are the same as in the other sessions. An effect replicates where this "
+    "is 0.9 or more."
 )
 CURVES = (
-    "Real less commanded angle over the angles measured, with a 95 % band; zero outside. Dots: what groups of rows "
-    "say, with everything else in the model. Waves: per turn, strongest first, and their share of the curve."
+    "Real minus commanded angle over the measured angles, with a 95 % band; zero outside. Dots: estimates from groups "
+    "of rows, with everything else in the model. Waves: per turn, strongest first, and their share of the curve."
 )
 SMALLER = (
-    "Effects smaller than these may still be present. Tip: how far the largest of them would move it, RMS over the "
-    "rows."
+    "Effects smaller than these may still be present. Tip: how far the largest of them would move the tip, RMS over "
+    "the rows."
 )
-APPROACH_AGAIN = "Approach some postures again, later: the arm's own scatter shows there, what the model lacks does not"
+APPROACH_AGAIN = "Repeat some postures later: repeats show the arm's own scatter, but not what the model lacks"
 
 
 # -- the verdict -------------------------------------------------------------------------------------------------------
@@ -72,13 +72,13 @@ def diagnosis_verdict(data: Data) -> list[str]:
     effects, sets, verdict, lines = data["effects"], data["candidates"], data["verdict"], []
     named, several = effects_in_words(effects), len({label.partition(":")[0] for label in effects}) > 1
     if refuted(data):
-        partly = "Not confirmed as predicted: the error on rows that no fit has seen falls by less."
+        partly = "Not confirmed as predicted: the error on held-out rows falls by less."
         lines.append(partly if shrinks(data) else f"Not confirmed on {judges(data)}.")
     lines += fits.hardly_better(data)
     if verdict == "none" and data["misfit"] and data["misfit"]["significant"]:
-        return [*lines, "The model is incomplete or sigma_mm too small; what is missing these data do not show."]
+        return [*lines, "The model is incomplete or sigma_mm too small; these data do not show what is missing."]
     if verdict == "none":
-        return [*lines, "Nothing is missing from the model that these data can show."]
+        return [*lines, "Nothing is missing from the model as far as these data show."]
     if verdict == "named" and several:
         return [*lines, f"Missing from the model: {len(effects)} effects.", as_sentence(named)]
     if verdict == "named":
@@ -96,11 +96,11 @@ def diagnosis_verdict(data: Data) -> list[str]:
     if perhaps_scatter(data):
         lines.append("The arm scatters by more than sigma_mm, or something outside the library is missing.")
     else:
-        lines.append(f"Something that the library does not have is missing, {place_in_words(data)}.")
+        lines.append(f"Something outside the library is missing, {place_in_words(data)}.")
     if is_described(data):
         curves = sorted(curve["joint"] for curve in data["curves"])
         words = "An error curve of {} describes" if len(curves) == 1 else "Error curves of {} describe"
-        lines.append(f"{words.format(of_joints(curves))} it; its cause is open.")
+        lines.append(f"{words.format(of_joints(curves))} it; its cause is unknown.")
     return [*lines, *([f"In addition: {named}."] if effects else [])]
 
 
@@ -117,7 +117,7 @@ def findings(data: Data) -> list[str]:
         unexplained = "" if noise else ", which nothing here explains"
         lines.append(f"The residuals scatter by {misfit['ratio']:.3g} x sigma_mm{unexplained}.")
     elif (data.get("confirmation") or {}).get("beyond_sigma"):
-        lines.append("On the rows held out the residuals are larger than sigma_mm explains.")
+        lines.append("On the held-out rows the residuals are larger than sigma_mm explains.")
     for answer, says in ((True, "Replicates"), (False, "Does not replicate")):
         if effects := [one["effect"] for one in data["replication"] if one["replicates"] is answer]:
             lines.append(f"{says} across sessions: {' + '.join(effects)}.")
@@ -130,10 +130,10 @@ def gap_in_words(data: Data) -> str:
     if test is not None:
         before, after, expected = (in_a_sentence(test[f"{key}_mm"]) for key in ("before", "after", "predicted"))
         figures = f"from {before} to {after} {unit}; {expected} {unit} was predicted"
-        return f"On {count_of(test['rows'], 'row')} that no fit has seen the RMS error goes {figures}."
+        return f"On {count_of(test['rows'], 'held-out row')} the RMS error goes {figures}."
     before, after = (in_a_sentence(data["gap"][f"rms_{when}_mm"]) for when in ("before", "after"))
     if data["verdict"] == "none":
-        return f"The model leaves {after} {unit} RMS of the data; no rows were held out."
+        return f"The model leaves an RMS error of {after} {unit} on the data; no rows were held out."
     figures = f"from {before} to {after} {unit}"
     return f"On the data, with the geometry fitted, the RMS error goes {figures}; no rows were held out to confirm it."
 
@@ -168,7 +168,7 @@ def refuted(data: Data) -> bool:
 
 def judges(data: Data) -> str:
     """The rows by which a model is confirmed or not; those of cross-validation had a part in the choice of effects."""
-    return "rows that no fit has seen" if data["confirmation"] else "rows left out in cross-validation"
+    return "held-out rows" if data["confirmation"] else "rows left out in cross-validation"
 
 
 def is_described(data: Data) -> bool:
@@ -197,11 +197,11 @@ def diagnosis_actions(
     joined = ", of all rows in one file with a column session" * (len(rows) > 1)
     alone = fits.identify_command(arm, "all.csv" if joined else rows[0], fits.ALONE)
     confirm = Action(
-        "Measure some twenty other postures, best on another day, and let them confirm what was found:",
+        "Measure about twenty other postures, preferably on another day, to confirm what was found:",
         f"{again} --holdout other.csv",
     )
     if refuted(data):
-        gain = " yet: the error on rows that no fit has seen falls by less than predicted"
+        gain = " yet: the error on held-out rows falls by less than predicted"
         why = gain if shrinks(data) else f": {judges(data)} speak against it"
         return [Action(f"Do not put this into the controller{why}."), confirm]
     if data["verdict"] == "none":
@@ -215,8 +215,8 @@ def diagnosis_actions(
         return [use, fits.correct("calibrated.toml"), confirm]
     actions = [] if data["confirmation"] and data["confirmation"]["confirmed"] else [confirm]
     if data["verdict"] == "unknown":
-        within = ", within the angles measured" if is_described(data) else ""
-        usable = f"; the extended model has what was found and may be used in the meantime{within}"
+        within = ", within the measured angles" if is_described(data) else ""
+        usable = f"; the extended model contains what was found and may be used in the meantime{within}"
         look = APPROACH_AGAIN if perhaps_scatter(data) else f"Look for a cause {place_in_words(data)}"
         actions.insert(0, Action(f"{look}{usable if data['predicting'] else ''}."))
     if written is None:
@@ -267,7 +267,7 @@ def diagnosis_document(
     sections.append(Section("Signed error against each joint", [picture("signed_of")]))
     if data["curves"]:
         sections.append(Section("Error curves of joints", [curve_table(data), CURVES, picture("curves_figure")]))
-    how = "Distances, without their sign: rows as points, RMS in groups of rows as lines."
+    how = "Unsigned distances: points are rows, lines the RMS of groups of rows."
     sections.append(Section("Against joints, time and torque", [how, picture("against_figure")], folded=True))
     alike = [[pair["effect"], pair["like"], f"{pair['likeness']:.3f}"] for pair in data["aliases"]]
     sizes = Sheet(("effect", "joints", "detectable from (90 % power)", "tip [mm]"), excluded_by_kind(data))
@@ -360,7 +360,7 @@ def holds_in_words(test: Data, unit: str = "mm") -> tuple[str, str]:
         why = " and ".join(reason for key, reason in reasons.items() if test[key] is False)
         sentence = f"The model does not hold for {where}: {why}."
     refitted = " and ".join(test["refitted"])
-    return answer, sentence + (f" First fitted to these rows, for both models: {refitted}." if refitted else "")
+    return answer, sentence + (f" Fitted to these rows first, for both models: {refitted}." if refitted else "")
 
 
 def curve_table(data: Data) -> Sheet:
@@ -423,16 +423,16 @@ def remarks(result: Diagnosis, skipped: Mapping[str, str], searched: int, status
     if result.curves:
         spans = [np.degrees([curve.angles[0], curve.angles[-1]]) for curve in result.curves]
         ranges = [f"joint {c.joint} {a:.0f} to {b:.0f} deg" for c, (a, b) in zip(result.curves, spans, strict=True)]
-        beyond = "where a joint is beyond them, the model is without curves, with the geometry that was fitted alone"
-        yield f"the error curves hold for the angles measured ({', '.join(ranges)}); {beyond}"
+        beyond = "where a joint is outside them, the model has no curves, and the geometry that was fitted without them"
+        yield f"the error curves are valid for the measured angles ({', '.join(ranges)}); {beyond}"
     if alone:
-        yield "the geometry alone predicts better: that is what --out writes"
+        yield "the geometry alone predicts better, so --out writes that"
     yield from untested(skipped)
     if len(measurements.sessions) > 1 and measurements.dimension > 2 and any("_step:" in e for e in result.effects):
-        yield "a reflector mounted anew between sessions looks like steps: it needs another name (marker) each session"
+        yield "a reflector remounted between sessions looks like steps: give it another name (marker) in each session"
     if searched < len(measurements):
-        some = f"{searched} of the {len(measurements)} rows, taken at random"
-        yield f"effects were looked for in {some}; what was found is fitted to all"
+        some = f"{searched} of the {len(measurements)} rows, chosen at random"
+        yield f"effects were searched for in {some}; what was found is fitted to all"
     if status is not Status.converged:
         yield f"the fit of the best model did not converge: {status.value}"
     if measurements.directions is None:
@@ -442,7 +442,7 @@ def remarks(result: Diagnosis, skipped: Mapping[str, str], searched: int, status
         yield f"the residual scatter is {of_file}; the tests use the scatter, not sigma_mm"
     if rows := result.unexplained_rows:
         which = rows_in_words(np.isin(np.arange(max(rows)) + 1, rows))
-        yield f"{which} are not explained; they stay in, as whole postures or neighbors"
+        yield f"{which} are not explained; they are kept, since they are whole postures or neighbors"
 
 
 def untested(skipped: Mapping[str, str]) -> list[str]:
@@ -461,7 +461,7 @@ def detectability_document(sees: Detectability) -> Document:
         alike = [f"{other} ({likeness:.2f})" for one, other, likeness in sees.pairs() if one == name]
         rest = f" and {len(alike) - 2} more" if len(alike) > 2 else ""
         rows.append([name, f"{visible:.2f}", str(sees.detectable[name]), ",\n".join(alike[:2]) + rest])
-    title = "What this plan can show of missing effects (smallest: with 90 % power)"
+    title = "Missing effects that this plan can show (smallest: with 90 % power)"
     table = Sheet(("effect", "visible", "smallest found", "looks like"), rows, title)
     never = [f"never identifiable: {key}: equivalent to {why}" for key, why in sees.aliases.items()]
     freedom = f"{sees.freedom} residual degrees of freedom"

@@ -38,20 +38,20 @@ MOST_HELD = 24  # parameters of effects that are listed without intervals; --lib
 ALONE = "no-library-prior"  # option of `identify`: the geometry without what else may be missing
 COLUMNS = ("value", "std", "low_95", "high_95")  # figures of a parameter
 UNFINISHED = (
-    "the fit stopped at the limit of iterations before it converged: values that the measurements hardly determine may "
-    "still move together, and their intervals hold only near where it stopped"
+    "the fit reached the iteration limit before it converged: values that the measurements hardly determine may still "
+    "change together, and their intervals are valid only near the point where it stopped"
 )
 # of the drawing, by `refit` of validate: said wherever its error is, so that figures of commands can be compared
 DRAWN = {
-    "base": "after fitting where the arm stands",
-    "offsets": "after fitting joint offsets and where the arm stands",
+    "base": "after fitting the base pose",
+    "offsets": "after fitting joint offsets and the base pose",
     "none": "as it stands",
 }
 BETA = (
-    "beta: turn about the new y axis after alpha, where the next axis is nearly parallel (Hayati). A controller that "
-    "has no beta cannot take that row; --urdf writes frames of six numbers."
+    "beta: rotation about the new y axis after alpha, where the next axis is nearly parallel (Hayati). A controller "
+    "without beta cannot take that row; --urdf writes frames of six numbers."
 )
-FITTED = "these are the measurements that the model was identified from: this says nothing about others"
+FITTED = "the model was identified from these measurements: this says nothing about others"
 BY_CHANCE = "may be chance"  # said of a gain within what the rows scatter by
 KINDS_OF_EFFECTS = {
     "looked for": "Effects that diagnose looks for",
@@ -59,8 +59,8 @@ KINDS_OF_EFFECTS = {
     "scatter": "Effects on the scatter: simulated, screened for, not estimated",
     "alias": "Cannot be distinguished from the geometry: listed, never named",
     "on request": "Estimated where the arm file asks for it",
-    "commands": "From columns of commands beside the angles read",
-    "sessions": "Set by armcal where there are several sessions",
+    "commands": "Found from commands that are recorded beside the readings",
+    "sessions": "Added by armcal where there are several sessions",
 }
 
 
@@ -117,7 +117,7 @@ def identification_document(fit: Identification, data: Data | None = None, hidde
     if values and not tables:
         tables = [corrected_section("Corrected values", values)]
         slides = fit.arm is not None and fit.arm.chain.rows and PRISMATIC in fit.arm.joint_types
-        tables += ["There is no corrected [[dh]] table of an arm with joints that slide."] if slides else []
+        tables += ["There is no corrected [[dh]] table for an arm with prismatic joints."] if slides else []
     if fit.arm is None:
         rows = (
             [row["name"], *(estimate_text(row[key], row["std"], row["unit"]) for key in COLUMNS), row["unit"]]
@@ -134,7 +134,7 @@ def identification_document(fit: Identification, data: Data | None = None, hidde
     if servo := data.get("servo_error", ()):
         keys = ("offset", "reversal", "rms", "largest", "rest")
         cells = [[str(row["joint"]), *(f"{row[key]:z.5f}" for key in keys), row["unit"]] for row in servo]
-        meaning = "read less commanded, as the drawing counts: offset + reversal s + rest, s the last motion's sign"
+        meaning = "read minus commanded, as the drawing counts: offset + reversal s + rest, s: sign of the last motion"
         parts += [Sheet(("joint", *keys, "unit"), cells, "Servo error"), meaning]
     # whose the errors before the fit are; without a place in the file, one has been fitted before
     places = placing(fit.model.parameters)
@@ -168,8 +168,8 @@ def hardly_better(data: Data) -> list[str]:
         f"{in_a_sentence(offered[f'rms{of}_mm'])} mm RMS (largest {in_a_sentence(offered[f'max{of}_mm'])})"
         for of in ("", "_geometry")
     )
-    placed = ", each with the place of the arm refitted" if offered["refitted"] else ""
-    seen = f"in rows that no fit has seen{placed}"
+    placed = ", each with the base refitted" if offered["refitted"] else ""
+    seen = f"on rows left out of the fit{placed}"
     return [f"This model predicts {sure} than the geometry alone: {model} against {geometry} {seen}."]
 
 
@@ -198,24 +198,24 @@ def corrected_section(title: str, rows: Sequence[CorrectedValue], folded: bool =
     frames = [row for row in rows if row.name.startswith("joint ")]
     weak, framed = sum(row.weak for row in rows), bool(frames)
     notes = {
-        f"And {held} parameters of effects without intervals; the file has them.": held > MOST_HELD,
+        f"{held} more parameters of effects, without intervals, are in the file.": held > MOST_HELD,
         "Zeros: add to the zero of the joint (real = reading + this), or subtract it from every command.": any(
             row.name.startswith("zero of") for row in rows
         ),
-        "Zero of joint 1 and base_offset: where the arm stands; type them into the controller only if the measurements "
-        "are in the controller's own frame.": any(row.parameter == "base_offset.x0" for row in rows),
+        "Zero of joint 1 and base_offset: the base pose; enter them in the controller only if the measurements are "
+        "in the controller's own frame.": any(row.parameter == "base_offset.x0" for row in rows),
         "Frames: origin of the joint in the frame of the joint before, as in a URDF file; --urdf writes it.": framed,
-        "rx, ry, rz of a joint, where its pitch is near 90 deg: how its frame is turned from the drawing about its own "
+        "rx, ry, rz of a joint whose pitch is near 90 deg: rotation of its frame from the drawing about its own "
         "axes.": any(row.name.endswith((" rx", " ry", " rz")) for row in frames),
-        "rx and rz of the base, where its ry is near 90 deg, are only known together, whatever the interval of each.": (
+        "Since ry of the base is near 90 deg, its rx and rz are only known together, whatever the interval of each.": (
             any(row.name == "base ry" and abs(row.corrected or 0.0) > 85.0 for row in rows)
         ),
         "These values belong together: enter all of them.": framed,
         # not all that can be off is estimated
-        "Numbers not listed stay as drawn, and the intervals are of a fit that holds them there.": framed
+        "Numbers not listed stay as drawn; the intervals are for a fit that holds them there.": framed
         and all(row.prior_std is None for row in rows),
-        f"* {weak} of {len(rows)} are weakly determined: the measurements leave more than half of the standard "
-        "deviation that they had before, and the prior holds them.": weak > 0,
+        f"* {weak} of {len(rows)} are weakly determined: the measurements leave more than half of their prior "
+        "standard deviation, and the prior holds them.": weak > 0,
     }
     return Section(title, [corrected_table(rows), *(note for note, holds in notes.items() if holds)], folded)
 
@@ -266,12 +266,12 @@ def identification_actions(data: Data, arm: str, rows: str, written: Path | None
         return [*keep, *([] if diagnosed else [look]), *use]
     offered = data.get("offered", {"better": True})
     if not offered["better"] and offered["rms_mm"] < offered["rms_geometry_mm"]:
-        unsure = "These rows are too few to say that --library-prior helps. The geometry alone, to compare on others:"
+        unsure = "These rows are too few to tell whether --library-prior helps. Fit without it, to compare on others:"
         keep.append(Action(unsure, f"armcal identify {arm} {rows} --{ALONE} --out geometry.toml"))
     elif not offered["better"]:
         alone = "Leave out --library-prior, since the geometry alone predicts no worse:"
         keep, use = [Action(alone, identify_command(arm, rows, ALONE))], [correct("calibrated.toml")]
-    why = "Effects that may be missing are allowed for, and none is named. To find out which there are:"
+    why = "Missing effects are allowed for, but none is named. To find out which are present:"
     return [*keep, *use, Action(why, look.command)]
 
 
@@ -289,7 +289,7 @@ def validation_actions(data: Data, model: str, rows: str) -> list[Action]:
     if is_better(data):
         return [correct(model)]
     if data["refit"] == "none":
-        return [Action("See whether it is only that the arm stands elsewhere:", f"armcal validate {model} {rows}")]
+        return [Action("See whether only the base pose has changed:", f"armcal validate {model} {rows}")]
     asked = f"armcal validate {model} {rows} --refit offsets"
     moved = Action("See whether the zeros of the joints have moved, and what refitting them gains:", asked)
     zeros = Action("Find the zeros of the joints again:", f"armcal identify {model} {rows} --only joint_offsets,base")
@@ -356,7 +356,7 @@ def library_document(entries: Sequence[dict[str, Any]]) -> Document:
         name = e["name"] + ":j" * e["place"].startswith("each") + f" ({e['arms'][0]})" * (len(e["arms"]) == 1)
         rows[e["kind"]].append([name, e["summary"], ", ".join(e["needs"])])
     tables = [Sheet(("name", "what is wrong", "needs"), rows[kind], title) for kind, title in KINDS_OF_EFFECTS.items()]
-    advice = "A name with :j belongs to joint j. More about one of them: armcal effects backlash"
+    advice = "A name with :j belongs to joint j. For details of an effect: armcal effects backlash"
     return Document("Effects", [], [*tables, advice])
 
 
@@ -367,7 +367,7 @@ def entry_document(entry: dict[str, Any]) -> Document:
         "model": entry["formula"],
         "belongs to": entry["place"],
         "arms": " and ".join(entry["arms"]),
-        "needs": "; ".join(entry["supply"]) or "nothing besides postures and positions",
+        "needs": "; ".join(entry["supply"]) or "only postures and positions",
         "looks like": entry["alias"],
     }
     sizes = ["-" if p["typical"] is None else f"{p['typical']:.2g}" for p in entry["parameters"]]

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from identification.gap.result import Diagnosis
 
 BEFORE, AFTER, LIMIT = "#c44e52", "#2a6f97", "#888888"
-READ = "Each dot is one row: the error of this joint that would best explain what is left (measured less computed)."
+READ = "Each dot is one row: the error of this joint that would best explain the residual (measured minus computed)."
 Pairs = Sequence[tuple[Array, str]]  # what two models leave, and their names
 
 

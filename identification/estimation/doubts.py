@@ -31,12 +31,12 @@ if TYPE_CHECKING:
 FAR_ZERO = np.radians(5.0)  # an offset that is no machining error
 FAR = 0.05  # of the reach, or a radian: residuals of another arm, frame or unit
 FALL = 2.0  # of the RMS, when the position of the base is added: the data are in another frame
-OTHER_FRAME = "the data are in another frame than the arm"
+OTHER_FRAME = "the data are not in the frame of the arm"
 # derived: degrees of freedom below which nothing is tested, and no standard deviation reported, since it would be
 # uncertain by more than 35 %. At the level 0.005 an effect of one parameter needs lambda = 11 with 4, 22 with 3
 SPARE = 4
 UNUSUAL = 8.0  # times the machining's sizes, from which a mistake is likelier than such an arm
-TELLS = " armcal check tells"  # the end of sentences that ask
+TELLS = " armcal check can tell"  # the end of sentences that ask
 FEW = "too few measurements"  # the beginning of that sentence
 
 
@@ -76,7 +76,7 @@ def misread(arm: Arm, measurements: Measurements) -> tuple[list[str], bool]:
     reading = read_differently(arm, measurements)
     if reading.better is None or reading.better.moved_zeros:
         return [*reading.sentences], False
-    return [f"implausible: {sentence}; armcal check tells more" for sentence in reading.sentences], True
+    return [f"implausible: {sentence}; armcal check says more" for sentence in reading.sentences], True
 
 
 def far_zeros(model: Model, parameters: Array) -> list[str]:
@@ -95,9 +95,9 @@ def far_from_drawing(arm: Arm, width: float, of_zeros: float) -> list[str]:
     so many times more."""
     rotation, translation = f"{np.degrees(arm.machining.rotation):g} deg", f"{arm.machining.translation:g} mm"
     ask = f"; are units, order and signs of joints and coordinates right?{TELLS}"
-    sizes = f"than [machining] says ({translation} and {rotation}): taken {width:g} times as large"
-    zeros = f"than [machining] says ({rotation}): taken as {width * of_zeros:g} times as large"
-    why = "as where a motor was changed or a drawing counts from elsewhere"
+    sizes = f"than [machining] says ({translation} and {rotation}); the fit uses {width:g} times that"
+    zeros = f"than [machining] says ({rotation}); the fit uses {width * of_zeros:g} times that"
+    why = "as after a change of motor, or if the drawing counts from elsewhere"
     sentences = [f"the arm is farther from its drawing {sizes}{ask if width >= UNUSUAL else ''}"] * (width != 1.0)
     return sentences + [f"zeros of joints are farther from the drawing {zeros}, {why}"] * (of_zeros != 1.0)
 
@@ -113,9 +113,9 @@ def far_rows(
     times /= max(float(np.median(times[~(outlier | together)])), np.finfo(float).tiny)
     by = "" if data.sigma is None else ", by the sigma_mm of each row,"
     causes = (
-        "a lost beam, an arm that was still moving, or what the model lacks there. armcal diagnose tells these apart; "
+        "a lost beam, an arm that was still moving, or an effect that the model lacks. armcal diagnose tells which; "
         "identify --without-outliers leaves such rows out",
-        "not single rows but whole postures or neighbors: what the model lacks there (gravity, play), or postures "
+        "not single rows but whole postures or neighbors: an effect that the model lacks (gravity, play), or postures "
         "where the arm stood elsewhere. They stay in the fit; delete them only if you know why they are wrong",
     )
     return [
@@ -135,7 +135,7 @@ def only_rounding(residual: Array, model: Model, measurements: Measurements) -> 
     """Residuals of the size of rounding, as of data without noise, for which standard deviations mean nothing."""
     if (left := rms_distance(residual)) > rounding(model, measurements):
         return []
-    reason = "data without noise, or contacts that are made whatever the joints do; deviations mean nothing"
+    reason = "data without noise, or contacts that are made whatever the joints do; standard deviations mean nothing"
     return [f"the fit leaves {left:.2g} mm RMS, which is rounding: {reason}"]
 
 
@@ -177,7 +177,7 @@ def another_frame(model: Model, measurements: Measurements) -> list[str]:
     before, after = np.sqrt(held / m), np.sqrt(free / m)
     if before <= rounding(model, measurements) or not worth_freeing(held, free, 2, spare, FALL**2):
         return []
-    fall = f"the RMS falls from {before:.4g} to {after:.4g} mm where the position of the base is estimated, too"
+    fall = f"the RMS falls from {before:.4g} to {after:.4g} mm if the position of the base is estimated, too"
     return [f'{OTHER_FRAME}: {fall}; add [[effects]] name = "base_offset" to the arm file']
 
 
@@ -190,7 +190,7 @@ def lacking(model: Model, measurements: Measurements) -> list[str]:
     ):
         if missing and (keys := [effect.key for effect in model.effects if need in effect.needs]):
             needs = f"{', '.join(keys)} need{'s' * (len(keys) == 1)}"
-            said.append(f"{needs} the column {column}, which the measurements lack: {instead} is taken")
+            said.append(f"{needs} the column {column}, which the measurements lack: {instead} is used")
     return said
 
 
@@ -221,7 +221,7 @@ def outside_limits(arm: Arm, measurements: Measurements) -> list[str]:
     if not joints.size:
         return [sentence]
     which = f"joint{'s' if joints.size > 1 else ''} {', '.join(map(str, joints.tolist()))}"
-    away = "would be within them whole turns (360 deg) away: count these readings from the drawing's zero"
+    away = "would be within them after whole turns (360 deg): count these readings from the drawing's zero"
     return [f"{sentence}; {which} {away}"]
 
 
@@ -300,7 +300,7 @@ def hardly_determined(fit: Identification) -> list[str]:
         return []
     # what more postures do not help against: readings that an arm twice as large would give as well
     readings, remedy_of_size = arm.chain.size_is_open
-    open_size = f"; but however many, {readings} fit an arm of any size: {remedy_of_size}" if readings else ""
+    open_size = f"; but however many there are, {readings} fit an arm of any size: {remedy_of_size}" if readings else ""
     far = f"{fit.rms_before:{'.3g' if fit.rms_before < 1000.0 else '.0f'}} mm"
     was = f"; before the fit the arm was {far} off where it was measured" if spare > 0 and more else ""
     tools = [k for k, p in enumerate(fit.model.parameters) if p.kind == TOOL]
@@ -311,7 +311,7 @@ def hardly_determined(fit: Identification) -> list[str]:
         doubt = f"at other postures like those measured the tip may be {inside:.3g} mm (RMS) from where it is computed"
         return [f"{FEW}: {doubt}{was}. Measure more postures{turns}{open_size}"]
     doubt = f"the tip may be {anywhere:.3g} mm (RMS over the joint limits) from where it is computed{was}"
-    return [f"away from the postures measured {doubt}. Keep near these postures, or measure others{turns}{open_size}"]
+    return [f"away from the postures measured {doubt}. Stay near these postures, or measure others{turns}{open_size}"]
 
 
 # -- postures left out -------------------------------------------------------------------------------------------------

@@ -404,8 +404,8 @@ class Contradiction(NamedTuple):
         do = f"armcal identify with the earlier calibration as ARM and --only {','.join(dict.fromkeys(words))}"
         return (
             f"the measurements contradict the prior: {by_each}{instead} (others as there). The fit is right for "
-            f"neither. Either it changed and is to be estimated again: {do}; or the model lacks what differs between "
-            "both measurements: armcal diagnose"
+            f"neither. Either the arm changed and this must be estimated again: {do}; or the model lacks what differs "
+            "between the two sets of measurements: armcal diagnose"
         )
 
 

@@ -143,6 +143,6 @@ def with_repeats_doubted(identified: Identification, measurements: Measurements)
     repeats = floor / float(np.sqrt(left[:, POINT].shape[1]))
     times = f"{scatter / repeats:.2g} times as much as repeats of one posture"
     figures = f"({scatter:.3g} mm per coordinate, not {repeats:.3g} mm)"
-    hidden = "what that does to the parameters is not in their intervals"
-    doubt = f"{MISFIT} {times} {figures}: the model misses an effect, and {hidden}; armcal diagnose looks for it"
+    hidden = "its influence on the parameters is not in their intervals"
+    doubt = f"{MISFIT} {times} {figures}: the model lacks an effect, and {hidden}; armcal diagnose looks for it"
     return replace(identified, doubts=(doubt, *identified.doubts))

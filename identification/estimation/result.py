@@ -36,12 +36,12 @@ from identification.model import Model
 from identification.running import Status
 
 STEP = {"mm": 1e-3, "rad": 1e-6}  # of central differences: exact for shifts, to 1e-12 for angles
-ZERO = "add to the zero of joint {j}: real position = reading + this; or take it off every command"
-STANDS = "where the arm stands: type it into the controller only if the measurements are in the controller's own frame"
+ZERO = "add to the zero of joint {j}: real position = reading + this; or subtract it from every command"
+STANDS = "the base pose: enter it in the controller only if the measurements are in the controller's own frame"
 FRAME = "frame of joint {j} in that of {before}, as a URDF joint's origin: x, y, z, then roll, pitch, yaw"
 TURNED_FRAME = (
-    "frame of joint {j} in that of {before}: x, y, z, then how it is turned from the drawing about its own x, y and z "
-    "axis; its pitch is near 90 deg, where small turns are large changes of roll and yaw"
+    "frame of joint {j} in that of {before}: x, y, z, then its rotation from the drawing about its own x, y and z "
+    "axis; its pitch is near 90 deg, where small rotations change roll and yaw much"
 )
 DH_MEANING = {  # unit, and what the number of a row of the table means
     "theta": ("deg", "offset: what joint {j} adds to its reading, in the table"),
@@ -50,7 +50,7 @@ DH_MEANING = {  # unit, and what the number of a row of the table means
     "alpha": ("deg", "between the axes of joints {j} and {k}"),
     "beta": (
         "deg",
-        "turn about the new y axis after alpha (Hayati), as axes {j} and {k} are nearly parallel; d stays as drawn",
+        "rotation about the new y axis after alpha (Hayati): axes {j} and {k} are nearly parallel; d stays as drawn",
     ),
 }
 # keys of the JSON of a fit that a calibration has elsewhere or is read without
@@ -392,16 +392,16 @@ def corrected_values(
         if not (len(slopes) == 1 and {*slopes} <= {*chain.instrument.hidden(chain.base)}):
             value = sum(x * values.get(name, 0.0) for name, x in slopes.items())
             stands = turned and j == 1
-            meaning = f"zero of joint 1 with how the arm is turned, {STANDS}" if stands else ZERO.format(j=j)
+            meaning = f"zero of joint 1 with the rotation of the base, {STANDS}" if stands else ZERO.format(j=j)
             alone = next(iter(slopes)) if len(slopes) == 1 else None
             rows.append(of.row(f"zero of joint {j}", alone, 0.0, value, slopes, p.file_unit, meaning))
     drawn, corrected_tables = _tables(chain, {}), _tables(chain, values)
     slopes_of = of.slopes(partial(_tables, chain), (p for p in chain.every_parameter if p.kind != JOINT_OFFSET))
     for (place, key), value in corrected_tables.items():
-        turned_about, (word, _, number), nominal = ", turned about its own x, y and z axis", place.partition(" "), None
+        turned_about, (word, _, number), nominal = ", rotated about its own x, y and z axis", place.partition(" "), None
         meaning = f"measured point in the frame of the tip{turned_about if key.endswith('_deg') else ''}"
         if word == "base":
-            meaning = f"pose of the base for the instrument{turned_about}"
+            meaning = f"pose of the base in the frame of the instrument{turned_about}"
         if word == "joint":
             j = int(number)
             frame = FRAME if (place, "roll_deg") in corrected_tables else TURNED_FRAME

@@ -196,12 +196,12 @@ class ShapedBodies(ByValue, Sequence[Body]):
                     loose |= {link: None} if aside else {}
         if missing:
             links = ", ".join(missing) if len(missing) <= SHOWN else f"{len(missing)} links"
-            state = f"meshes of {links} are not found ({next(iter(missing.values()))}): collisions are not looked at"
+            state = f"meshes of {links} are not found ({next(iter(missing.values()))}): collisions are not checked"
             ways = "beside the arm file or below, or in a folder of --package-dir"
             types = f"{' or '.join(READERS)} files of the same name, "
             warnings.warn(f"{self.path}: {state}, allowed: {types}{ways}", UserWarning, stacklevel=2)
         if loose:
-            state = "drawn where joints that are not the arm's stand at zero"
+            state = "placed with the joints outside the arm's chain at zero"
             warnings.warn(f"{self.path}: {', '.join(loose)}: {state}", UserWarning, stacklevel=2)
         for name in {name for name, _ in parts} & {name for name, _, _ in self.given}:
             raise InputError(f"cell.bodies: the name {name!r} is that of a link of {self.path}, allowed: another name")

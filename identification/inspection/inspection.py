@@ -69,8 +69,8 @@ class Inspection(Documented):
         parts: list[Any] = [*(f"  - {sentence}" for sentence in self.problems), *self.parts]
         if self.problems:
             return Document("Inspection", ["Fix these first:"], parts)
-        near = "besides the collisions below " * bool(self.data.get("collisions"))
-        verdict = f"No problems {near}found in these data{', but they are few for a fit' * self.few}."
+        near = " besides the collisions below" * bool(self.data.get("collisions"))
+        verdict = f"No problems found in these data{near}{', but they are few for a fit' * self.few}."
         then = f"armcal identify {arm} {rows} --out calibrated.toml, then armcal diagnose {arm} {rows}"
         return Document("Inspection", [verdict], [*parts, f"Next: {then}"])
 
@@ -105,10 +105,10 @@ def inspect(arm: Arm, measurements: Measurements) -> Inspection:
     if fit is not None and fit.not_identifiable:
         notes.append(f"not estimable separately: {'; '.join(fit.not_identifiable)}")
     if len(np.unique(measurements.repeat_numbers)) == len(measurements):
-        notes.append("no posture is repeated: the arm's repeatability is not known from these data")
+        notes.append("no posture is repeated, so these data do not show the arm's repeatability")
     if held:
         left_out = f"{held} values of effects, which a prior held where they were identified, are left out"
-        notes.append(f"{left_out}: for a fit to these rows take the arm file from before")
+        notes.append(f"{left_out}: to fit these rows, use the arm file from before that")
     notes += gap_notes(measurements)
     untested = {} if measurements.temperature is not None else {"temperature": "a column temperature_C"}
     untested |= {} if arm.gravity is not None else {"gravity": "[gravity] in the arm file"}
@@ -140,7 +140,7 @@ def inspect(arm: Arm, measurements: Measurements) -> Inspection:
     }
     facts = {
         "rows": f"{count_of(data['rows'], 'row')}, {count_of(data['postures'], 'posture')}",
-        "columns besides": ", ".join(given) or "none",
+        "other columns": ", ".join(given) or "none",
         "sessions" if touched == "marker" else f"{column}s": ", ".join(measurements.sessions),
         f"{column}s" if touched == "marker" else "measured points": ", ".join(measurements.marker_names),
         "repeats scatter by": None if floor.value is None else f"{floor.value:.4g} mm",
@@ -176,7 +176,7 @@ def _problems(
         unexplained = (np.isin(rows, numbers) for numbers in (fit.outlier_rows, fit.unexplained_rows))
         sentences = doubts.far_rows(fit.residuals_after, measurements, arm, *unexplained)
     if not sentences and drawing > DRAWN * arm.reach:
-        sentences = [f"the drawing is {drawing:.4g} mm off wherever the arm stands: check lengths and columns"]
+        sentences = [f"the drawing is {drawing:.4g} mm off at any base pose: check lengths and columns"]
     if fit is None:
         return [*sentences, "too few rows for a fit of the geometry"]
     if sentences:
@@ -188,12 +188,12 @@ def _problems(
         left = f"a fit leaves {fit.rms_after:.4g} mm of the {drawing:.4g} mm that the drawing leaves"
         names = "columns, units or markers" if measurements.marker_names else "columns or units"
         mixed = f"look for {names} that changed, or an instrument that moved"
-        return [f"{left}, so that no geometry explains these rows: {mixed}"]
+        return [f"{left}, so no geometry explains these rows: {mixed}"]
     if asked := _asked(fit):
         return asked
     if fit.dof <= 0:  # it leaves little whatever the data are
         numbers, unknowns = fit.residuals_after.size, len(fit.names)
-        return [f"{doubts.FEW}: {numbers} numbers for {unknowns} unknowns. Measure more postures"]
+        return [f"{doubts.FEW}: {numbers} equations for {unknowns} unknowns. Measure more postures"]
     return [sentence for sentence in doubts.hardly_determined(fit) if sentence.startswith(doubts.FEW)]
 
 
@@ -245,8 +245,8 @@ def other_frame(arm: Arm, written: Reading) -> list[str]:
     zero = ", or the zero of joint 1 is off by that" if about and near else ""
     how = f"turned by {np.degrees(turn):.1f} deg and {shift:.4g} mm away from there{zero}"
     return [
-        f"the positions are in another frame than [base] says: {how}. From the drawing {stands}; write that there, or "
-        "leave [base] out, and a fit finds it"
+        f"the positions are not in the frame that [base] says: {how}. The drawing gives {stands}; write that there, or "
+        "leave [base] out, and a fit will find it"
     ]
 
 
@@ -306,8 +306,8 @@ def sufficiency(
         accuracy += f" (RMS), {SOURCES[source]}, if the model is right"
     by_machining = f" ({len(held)} held by [machining])" if held else ""
     weakly = (f"{name} (std {std:{'.3g' if std < 1000.0 else '.0f'}} {unit})" for name, std, unit in weak)
-    count = f"{keys['numbers']} numbers for {parameters} parameters{by_machining}: {spare} left to judge the fit"
-    words: list[tuple[str, str | None]] = [("such a fit", count)]
+    count = f"{keys['numbers']} for {parameters} parameters{by_machining}: {spare} left to judge the fit"
+    words: list[tuple[str, str | None]] = [("equations", count)]
     words.append(("determines", "; ".join(determined) or "nothing by itself"))
     words += [("only weakly", "; ".join(weakly)), ("does not", "; ".join(fit.not_identifiable)), ("accuracy", accuracy)]
     return keys, words, few

@@ -422,7 +422,7 @@ def data_warnings(measurements: Measurements, arm: Arm) -> list[str]:
         if (elsewhere := np.any(np.minimum(off, np.abs(off - 2.0 * np.pi)) > most, axis=1)).any():
             row = int(np.argmax(elsewhere))
             said = f"row {row + 1} has the number of row {firsts[numbers[row]] + 1} in the column posture"
-            units.append(f"{said}, and joints elsewhere: equal numbers mark repeats of one posture")
+            units.append(f"{said}, but other joint positions: equal numbers mark repeats of one posture")
     if measurements.commanded is not None:
         off = np.median(np.abs(measurements.postures - measurements.commanded), axis=0)
         beside = off > most
@@ -459,13 +459,13 @@ def gap_notes(measurements: Measurements) -> list[str]:
     """Rows of which nothing says from which side their joints came, in a sentence; none where that is known."""
     if (given := measurements.directions) is not None:
         unknown = [f"joint {j} in {count}" for j, count in enumerate(np.isnan(given).sum(axis=0), start=1) if count]
-        why = "nothing says it, or columns of coupled joints leave it open; play in gears needs it"
-        return [f"the direction is not known of {', '.join(unknown)} of {len(given)} rows ({why})"] if unknown else []
+        why = "not given, or left open by columns of coupled joints; backlash needs it"
+        return [f"unknown approach directions: {', '.join(unknown)} of {len(given)} rows ({why})"] if unknown else []
     if measurements.gaps is None:
         return []
-    left_out = f"before {int(measurements.gaps.sum())} of {len(measurements)} rows numbers of order are left out"
-    how = "keep order 1, 2, 3 .. without steps, or give columns direction1, direction2 .."
-    return [f"{left_out}: from which side the joints came is not known there (play in gears needs it; {how})"]
+    left_out = f"column order: numbers are missing before {int(measurements.gaps.sum())} of {len(measurements)} rows"
+    how = "give order 1, 2, 3 .. without gaps, or columns direction1, direction2 .."
+    return [f"{left_out}: the approach direction is unknown there (backlash needs it; {how})"]
 
 
 # -- what else the drawing tells ---------------------------------------------------------------------------------------

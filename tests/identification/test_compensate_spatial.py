@@ -89,7 +89,7 @@ def test_target_files(tmp_path: Path) -> None:
     found = compensate(given, **wanted)
     text = found.text()
     assert text.splitlines()[0].endswith("q6_deg,x_mm,y_mm,z_mm,rx_deg,ry_deg,rz_deg,error_mm,error_deg,reachable")
-    assert "orientations are those wanted to < 1e-6 deg, by the same model" in found.document().verdict[0]
+    assert "orientations are reached to < 1e-6 deg, by the same model" in found.document().verdict[0]
 
 
 # -- commands beside readings ------------------------------------------------------------------------------------------

@@ -71,10 +71,10 @@ def test_a_stylus_that_passes_through_does_not_touch() -> None:
 def test_what_no_plan_can_be_made_for() -> None:
     arm = arm_of("sphere")
     nowhere = replace(arm.chain, base=np.eye(4))
-    with pytest.raises(InputError, match="kind sphere without center_mm: where it is touched is not known"):
+    with pytest.raises(InputError, match="kind sphere without center_mm: the place of contact is not known"):
         DesignProblem.of(Model(replace(arm, chain=nowhere)))
     far = replace(arm.chain, base=pose(-20.0 * CENTER), settled=frozenset({BASE, TOOL}))
-    with pytest.raises(InputError, match="sphere is touched within limits and constraints at 0 of 40000 random"):
+    with pytest.raises(InputError, match="sphere is reached within limits and constraints from 0 of 40000 random"):
         DesignProblem.of(Model(replace(arm, chain=far)))
 
 

@@ -33,7 +33,8 @@ def test_simulated_data_are_fine(folder: Folder) -> None:
     assert limits == [["none", "none"], ["-120.00", "120.00"], ["-100.00", "60.00"], ["-90.00", "90.00"]]
     assert "armcal identify arm.toml data.csv --out" in text
     folder.write("wide.toml", ARM.replace("links_mm", "link_width_mm = 150.0\nlinks_mm", 1))
-    assert "No problems besides the collisions below found" in folder.armcal("check wide.toml data.csv").out
+    said = folder.armcal("check wide.toml data.csv").out
+    assert "No problems found in these data besides the collisions below" in said
 
 
 @pytest.mark.parametrize(
@@ -59,7 +60,7 @@ def test_a_controller_that_counts_otherwise(folder: Folder, columns: dict[str, p
     printed = [line.strip() for line in folder.armcal("check arm.toml data.csv").out.splitlines()]
     assert printed[printed.index("[joints]") + 1] == lines[0]
     folder.write("wide.toml", ARM.replace("links_mm", "link_width_mm = 20.0\nlinks_mm", 1))
-    assert "read wrongly" in folder.armcal("check wide.toml data.csv").out.splitlines()[-1]  # and no list of collisions
+    assert "misread" in folder.armcal("check wide.toml data.csv").out.splitlines()[-1]  # and no list of collisions
     head, _, rest = ARM.partition("[joint_limits_deg]")  # these are the controller's then: of another column here
     folder.write("arm.toml", "\n".join([head, "[joints]", *lines, rest[rest.index("\n[") :]]))
     assert folder.said("check arm.toml data.csv")["ok"]
@@ -106,7 +107,7 @@ def test_commands_beside_readings(folder: Folder) -> None:
     folder.simulated()
     found = folder.said(f"{IDENTIFY} --out calibrated.toml")
     assert [error["offset"] for error in found["servo_error"]] == pytest.approx([0.0, 0.02, 0.0, 0.0], abs=1e-9)
-    assert "read less commanded, as the drawing counts: offset" in folder.armcal(IDENTIFY).flat
+    assert "read minus commanded, as the drawing counts: offset" in folder.armcal(IDENTIFY).flat
     folder.write("targets.csv", "x_mm,y_mm\n300,150\n")
     commands = folder.said("compensate calibrated.toml targets.csv")["commands_deg"]
     text, count = re.subn(r"(?m)^b_deg = 0.0(1999|2)\d*", "b_deg = 0.05", folder.read("calibrated.toml"))
@@ -135,7 +136,7 @@ def test_what_stays_keeps_its_angles_and_its_data(folder: Folder) -> None:
         if kept:
             assert found["held_from"]["data.csv"]["rows"] == len(old)
             (note,) = folder.said("validate again.toml data.csv")["notes"]
-            assert note.startswith("these are the measurements that the model was identified from:")
+            assert note.startswith("the model was identified from these measurements:")
 
 
 def test_a_prior_is_the_library_and_a_file(folder: Folder) -> None:

@@ -161,7 +161,7 @@ def test_gravity_is_on_where_the_urdf_file_has_masses(folder: Folder, masses: bo
     folder.write("robot.urdf", urdf(masses=masses))
     done = folder.armcal("init --urdf robot.urdf --out cell")
     gravity = load_arm(folder.path / "cell/arm.toml").gravity
-    assert ("stands upright" in done.out) is masses
+    assert ("with an upright base" in done.out) is masses
     assert ("taken to stand upright" in folder.read("cell/arm.toml")) is masses
     assert (gravity is not None) is masses
     if gravity is not None:

@@ -82,7 +82,7 @@ def test_a_plan_of_contacts(cell: Folder) -> None:
     cell.write("ball.toml", SIX + 'kind = "sphere"\n' + place)
     found = cell.armcal("design ball.toml --runs 30 --starts 1 --out best.csv --json")
     assert found.code == 0, found.err
-    assert "random postures that touch the sphere as the arm is best known, and bounds are over these" in found.err
+    assert "random postures that touch the sphere by the best known model, and bounds hold for these" in found.err
     scored = cell.said("score ball.toml best.csv")
     assert scored["log_det"] == pytest.approx(found.data["log_det"], abs=1e-6)
     assert scored["efficiency"] is None or 0.5 < scored["efficiency"] <= 1.0

@@ -220,7 +220,7 @@ def test_every_calibration_is_shown_and_the_one_that_is_used_is_said(folder: Fol
         left[name] = folder.said(f"validate {name}.toml other.csv")["rms_mm"]
     best, rest = sorted(left, key=left.__getitem__)
     found = folder.said("report arm.toml many.toml few.toml other.csv --out page.html")
-    assert f"the next steps use {best}.toml" in " ".join(found["verdict"])
+    assert f"The next steps use the calibration {best}.toml" in " ".join(found["verdict"])
     text = folder.read("page.html")
     for name, figure in left.items():
         assert re.search(f">{name}.toml</td><td[^>]*>{figure:.4f}</td>", text)

@@ -37,7 +37,7 @@ def test_a_user_may_design_for_a_minimal_set_or_without_a_prior() -> None:
 
 def test_points_that_are_not_known_lie_beside_the_last_axis() -> None:
     three = replace(CHAIN, tools={name: np.zeros(3) for name in "abc"})
-    with pytest.warns(UserWarning, match="a, b, c is not known, 100 mm beside the last axis"):
+    with pytest.warns(UserWarning, match="a, b, c is not known; 100 mm beside the last axis"):
         places = np.array([tool[:3, 3] for tool in with_points(three).tools.values()])
     np.testing.assert_allclose(np.linalg.norm(places[:, :2], axis=1), 100.0)  # the last axis is z of the tip
     np.testing.assert_allclose(places.sum(axis=0), 0.0, atol=1e-9)
@@ -84,7 +84,7 @@ def test_distances_have_one_coordinate() -> None:
 
 def test_a_center_is_assumed_before_the_base() -> None:
     chain = bar().chain
-    with pytest.warns(UserWarning, match=r"the center is not known, \d+ mm before the base"):
+    with pytest.warns(UserWarning, match=r"the center is not known; a point \d+ mm in front of the base"):
         there = with_points(chain)
     np.testing.assert_allclose(there.base, pose([-0.5 * chain.reach, 0.0, 0.0]))
     placed = replace(chain, base=pose([-700.0, 0.0, 0.0]))
@@ -94,7 +94,7 @@ def test_a_center_is_assumed_before_the_base() -> None:
 
 def test_contacts_at_an_unknown_place_have_no_plans() -> None:
     arm = Arm(replace(CHAIN, instrument=Sphere(20.0)))
-    with pytest.raises(InputError, match="kind sphere without center_mm: where it is touched is not known"):
+    with pytest.raises(InputError, match="kind sphere without center_mm: the place of contact is not known"):
         DesignProblem.of(Model(arm))
 
 

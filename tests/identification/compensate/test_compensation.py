@@ -249,7 +249,7 @@ def test_the_side_of_the_approach_is_said() -> None:
     nominal = np.array([[0.1, 0.2, 0.1, 0.1], [0.2, 0.4, 0.3, 0.2]])  # every joint rising
     found = compensate(played, postures=nominal)
     (said,) = found.warnings
-    assert said.startswith("backlash: the error depends on the side that a joint comes from. Drive the targets in this")
+    assert said.startswith("backlash: the error depends on the approach direction. Approach the targets in this order")
     assert found.to_json()["warnings"] == [said]
     counting = Counting((1, -1, 1, 1), (0, 0, 2, -3), (0.0,) * 4)
     assert np.all(counting.joints(np.array([1.0, -1.0, 1.1, 0.1])) > 0.0)  # all rise, as the next line asks for
@@ -284,7 +284,7 @@ def test_what_happened_in_the_session_is_over_and_the_temperature_is_its_mean() 
     ended = "joint_step:2: the value at the end of the session of the identification is used"
     assert found.warnings == [ended, "thermal_growth: taken at the mean temperature of the identification"]
     carried = f"joint_compliance:2: taken with the payload of the arm file, {GRAVITY.payload:g} kg"
-    read = "measurement_scale: an error of the instrument, which targets are taken to have as readings do"
+    read = "measurement_scale: an instrument error, which targets are assumed to have, as readings do"
     scaled = EffectSpec("measurement_scale", None, {"s": 1e-4})
     for spec, said in ((EffectSpec("joint_compliance", 2, {"c": 1e-5}), carried), (scaled, read)):
         assert compensate(arm(spec), postures=nominal).warnings == [said]
@@ -334,10 +334,10 @@ def test_measured_positions_are_reached(near: bool) -> None:
     np.testing.assert_allclose(found.commands, q, rtol=0, atol=5.0 * rms / 200.0)
     assert found.to_json()["tolerance_mm"] == found.tolerance
     (said,) = (warning for warning in found.warnings if "missed by" in warning)
-    assert said.startswith(f"30 of the targets reached are missed by {found.errors.max():.2g} mm at most")
+    assert said.startswith(f"30 of the reached targets are missed by {found.errors.max():.2g} mm at most")
     assert f"within the {found.tolerance:.2g} mm that 999 of 1,000 measured positions are off by" in said
     several = replace(arm, chain=replace(arm.chain, tools={"1": REFLECTOR, "B": np.zeros(3)}))
-    assert "targets are where measured point 1 goes, not B" in compensate(several, positions, q).warnings
+    assert "targets are for measured point 1, not for B" in compensate(several, positions, q).warnings
 
 
 def test_targets_off_the_surface_are_not() -> None:

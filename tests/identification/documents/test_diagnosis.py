@@ -26,7 +26,7 @@ TEST = {"rows": 30, "before_mm": 0.6, "after_mm": 0.25, "predicted_mm": 0.2}
 RIPPLE, PLAY = "transmission_ripple:2", "gear play, by direction of approach (backlash:2)"
 LEFT_OUT = {"cross_validation": [{"confirmed": False}]}
 LENGTHS = np.array([300.0, 200.0])
-PLACE = "Something that the library does not have is missing, at joint 3."
+PLACE = "Something outside the library is missing, at joint 3."
 
 
 def said(verdict: str, *effects: str, confirmed: bool | None = None, sets: int = 1) -> dict[str, Any]:
@@ -66,7 +66,7 @@ def test_effects_are_said_in_words_with_their_names(labels: list[str], words: st
         (said("none"), "Nothing is missing", "identify arm.toml data.csv --no-library-prior --out calibrated.toml"),
         (said("named", "backlash:2", confirmed=True), f"Missing from the model: {PLAY}", "--out extended.toml"),
         (said("named", "backlash:2"), f"Missing from the model: {PLAY}", "--holdout other.csv"),
-        (said("named", "backlash:2", confirmed=False), "Not confirmed on rows that no fit has seen. Missing", ""),
+        (said("named", "backlash:2", confirmed=False), "Not confirmed on held-out rows. Missing", ""),
         (said("named", "backlash:2") | LEFT_OUT, "Not confirmed on rows left out in cross-validation.", ""),
         (
             said("ambiguous", "backlash:2", "axes_skew", sets=2),
@@ -92,7 +92,7 @@ def test_a_verdict_comes_with_what_follows_from_it(data: dict[str, Any], first: 
     assert " ".join(verdict).startswith(first)
     assert len(verdict[0].split()) <= 16
     figures = "0.500 to 0.125 mm" if data["confirmation"] is None else "0.600 to 0.250 mm; 0.200 mm was predicted"
-    figures = "leaves 0.125 mm RMS of the data" if data["verdict"] == "none" else figures
+    figures = "leaves an RMS error of 0.125 mm on the data" if data["verdict"] == "none" else figures
     assert figures in gap
     assert command in diagnosis_actions(data)[0].command
     if refuted(data):
@@ -108,7 +108,7 @@ def test_a_model_no_better_than_the_geometry_is_not_offered(rms: float, word: st
     first = diagnosis_verdict(data)[0]
     assert first.startswith(f"This model predicts {word} the geometry alone: {rms:g}")
     assert "(largest 3.07) against" in first
-    assert first.endswith("in rows that no fit has seen, each with the place of the arm refitted.")
+    assert first.endswith("on rows left out of the fit, each with the base refitted.")
     commands = [action.command for action in diagnosis_actions(data, written=Path("extended.toml"))]
     assert commands[0] == "armcal identify arm.toml data.csv --no-library-prior --out calibrated.toml"
     assert commands[1].startswith("armcal compensate calibrated.toml ")

@@ -32,7 +32,7 @@ def test_hundreds_of_effects_without_intervals_are_counted_and_not_listed() -> N
         table, *lines = corrected_section("Corrected values", [length, *held[:many]]).parts
         assert isinstance(table, Sheet)
         assert len(table.rows) == listed
-        assert any("And 25 parameters of effects" in str(line) for line in lines) == (many == 25)
+        assert any("25 more parameters of effects" in str(line) for line in lines) == (many == 25)
 
 
 def test_intervals_of_a_fit_that_holds_what_it_does_not_list_say_so() -> None:
@@ -45,7 +45,7 @@ def test_intervals_of_a_fit_that_holds_what_it_does_not_list_say_so() -> None:
 
 def test_a_fit_and_a_validation_in_a_sentence_each() -> None:
     fit = {"rms_before_mm": 3.0, "rms_after_mm": 0.25}
-    drawing = "from 1.00 mm (drawing, after fitting where the arm stands) to"
+    drawing = "from 1.00 mm (drawing, after fitting the base pose) to"
     assert "from 3.00 to 0.250 mm" in identification_verdict(fit)
     assert f"{drawing} 0.250 mm" in identification_verdict(fit | {"rms_drawing_mm": 1.0})
     assert f"{drawing[:10]}px" in identification_verdict(fit | {"rms_drawing_mm": 1.0, "reading_unit": "px"})
@@ -116,7 +116,7 @@ def test_counts_of_targets_without_a_command() -> None:
     found = Compensation(Arm([100.0]), np.zeros((3, 2)), np.full((3, 1), 0.5), errors, barred=barred)
     assert np.isnan(found.safe_commands).tolist() == [[False], [True], [True]]
     document = found.document()
-    why = "2 have no command (angles left empty): 1 out of reach, 1 barred by a constraint (rows 2, 3)."
+    why = "2 have no command (angles left empty): 1 out of reach, 1 blocked by a constraint (rows 2, 3)."
     assert document.verdict == [f"1 of 3 targets reached by the calibrated model. {why}"]
     table, *reasons = document.parts
     assert isinstance(table, Sheet)

@@ -121,7 +121,7 @@ def test_corrected_angles_are_near_the_drawing_and_make_the_rotation(
     assert np.max(np.abs(at - nominal)) <= np.degrees(np.linalg.norm(errors)) * (1.05 if upright else 13.0) + 1e-9
     assert all(rows[f"joint 2 {axis}"].std is not None for axis in keys if axis not in missing)
     notes = str(corrected_section("", [*rows.values()]).parts)
-    assert ("turned from the drawing" in notes) == (upright and len(missing) < 3)
+    assert ("rotation of its frame from the drawing" in notes) == (upright and len(missing) < 3)
 
 
 @pytest.mark.parametrize("deviation", [0.1, 0.547, 0.549, 1.0])

@@ -44,7 +44,7 @@ def test_links_are_where_their_joints_put_them(tmp_path: Path) -> None:
     """Places by hand: the base stands at (0, 1, 0) of the table, turned by 90 degrees; the tip hangs at (0.4, 0, 0.1)
     of the moving link, turned by 90 degrees, and the finger there, too, its joint at zero."""
     found, said = said_of(arm_of(tmp_path))
-    assert said == [f"{tmp_path / 'r.urdf'}: finger: drawn where joints that are not the arm's stand at zero"]
+    assert said == [f"{tmp_path / 'r.urdf'}: finger: placed with the joints outside the arm's chain at zero"]
     joints = {name: body.joint for name, body in found.items()}
     assert joints == {"table": 0, **dict.fromkeys(("upper", "bracket", "tip", "finger", "part"), 1)}
     table = found["table"].boxes
@@ -118,7 +118,7 @@ def test_a_link_does_not_lead_out(tmp_path: Path) -> None:
     assert mesh_found(tmp_path, "part.stl", "other/part.stl") is None
     (tmp_path / "work/cell/part.stl").symlink_to(tmp_path / "other/part.stl")
     found, (said, _) = said_of(arm_of(tmp_path / "work/cell", MESH.replace("NAME", "part.stl")))
-    assert re.search(r"r.urdf: meshes of part are not found \(.*\): collisions are not looked at, allowed: ", said)
+    assert re.search(r"r.urdf: meshes of part are not found \(.*\): collisions are not checked, allowed: ", said)
     assert {"part", "upper"} & {*found} == {"upper"}
 
 

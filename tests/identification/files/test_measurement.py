@@ -343,12 +343,12 @@ def test_effects_that_need_the_row_before_are_not_looked_for_without_it() -> Non
     assert not library_prior(arm, WHOLE, names).left_out
     assert {spec.name for spec in library_prior(arm, thinned, names).added} == {"gear_ratio"}
     (note,) = gap_notes(thinned)
-    assert note.startswith("before 14 of 15 rows numbers of order are left out")
+    assert note.startswith("column order: numbers are missing before 14 of 15 rows")
     assert gap_notes(WHOLE) == []
     directions = np.ones((M, 3))
     directions[4:, 1] = np.nan
     (note,) = gap_notes(replace(WHOLE, directions=directions))
-    assert note.startswith(f"the direction is not known of joint 2 in {M - 4} of {M} rows")
+    assert note.startswith(f"unknown approach directions: joint 2 in {M - 4} of {M} rows")
 
 
 def test_a_file_may_say_that_a_direction_is_unknown(load: Load) -> None:

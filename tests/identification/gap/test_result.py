@@ -79,14 +79,14 @@ def diagnosis_with(found: Diagnosis, likely: Probabilities) -> Diagnosis:
 def test_nothing_that_a_diagnosis_says_contradicts_its_probabilities() -> None:
     """The JSON keys by the rules of the blind study; the sentences by the words of the verdicts."""
     rng, plain = np.random.default_rng(3), diagnosed(None)
-    opening = {"none": "Nothing", "named": "Missing", "ambiguous": "", "unknown": "Something that the library"}
+    opening = {"none": "Nothing", "named": "Missing", "ambiguous": "", "unknown": "Something outside"}
     for _ in range(1000):
         likely = drawn(rng)
         likely = likely.not_none(1e-6) if rng.random() < 0.2 else likely
         found = diagnosis_with(plain, likely)
         said = found.to_json()
         assert contradictions(said) == []
-        told = said["sentence"].removeprefix("Not confirmed on rows that no fit has seen. ")
+        told = said["sentence"].removeprefix("Not confirmed on held-out rows. ")
         assert told.startswith(opening[found.verdict])
         assert set(said["credible_set"]) <= {"none", "unknown", *(" + ".join(n) for n in likely.sets)}
         shown = [c for c in found.candidates if c.probability is not None]

@@ -68,7 +68,7 @@ def test_each_fault_has_its_sentence() -> None:
             ARM,
             replace(good, postures=turned),
             "3 of 40 postures lie outside the joint limits, the first in row 4: joint 3",
-            "; joint 3 would be within them whole turns (360 deg) away: count these readings from the drawing's zero",
+            "; joint 3 would be within them after whole turns (360 deg): count these readings from the drawing's zero",
         ),
         (ARM, replace(good, postures=np.radians(good.postures)), "it looks as if the joint angles are in radians", ""),
         (ARM, good.rows([*range(40), 5]), "1 of 41 rows is an exact copy of another (row 41 of row 6); ", ""),
@@ -154,7 +154,7 @@ def test_a_base_that_stands_elsewhere() -> None:
         return other_frame(arm, read_differently(arm, data).written)
 
     (said,) = noted(Arm(chain))
-    assert "another frame than [base] says: turned by " in said
+    assert "not in the frame that [base] says: turned by " in said
     turn, shift = (float(said.split(word)[1].split()[0]) for word in ("turned by ", "deg and "))
     assert turn == pytest.approx(60.0, abs=0.5)
     assert shift == pytest.approx(500.0, abs=5.0)
@@ -193,7 +193,7 @@ def test_with_few_rows_the_noise_is_the_one_given_or_that_of_repeats() -> None:
     known, unknown = (estimate(Model(replace(TWO, sigma=sigma)), measured) for sigma in (NOISE, None))
     given, words, few = sufficiency(known, measured, NoiseFloor())
     assert (given["numbers"], given["parameters"], given["spare_numbers"], few) == (6, 4, 2, True)
-    assert words[0][1] == "6 numbers for 4 parameters: 2 left to judge the fit"
+    assert words[0][1] == "6 for 4 parameters: 2 left to judge the fit"
     assert given["identifiable"] == ("length of links 1 and 2", "zero of joints 1 and 2")
     repeats = sufficiency(unknown, measured, NoiseFloor(repeats=0.2 * np.sqrt(2.0)))[0]
     fit = estimate(Model(TWO), many)

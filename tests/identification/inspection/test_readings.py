@@ -190,8 +190,8 @@ def test_what_a_fit_asks_check_asks() -> None:
     seen = points(q, np.array([60.0, 20.0, 40.0]), made) + generator.normal(0.0, 0.01, (60, 3))
     found = inspect(replace(ARM, machining=Machining(0.1, np.radians(0.05))), Measurements(q, seen))
     (asked,) = found.problems
-    assert asked.startswith("the arm is farther from its drawing than [machining] says (0.1 mm and 0.05 deg): taken ")
-    assert asked.endswith(" times as large; are units, order and signs of joints and coordinates right?")
+    assert asked.startswith("the arm is farther from its drawing than [machining] says (0.1 mm and 0.05 deg); the fit ")
+    assert asked.endswith(" times that; are units, order and signs of joints and coordinates right?")
 
 
 # -- a reading in words, and what it makes of columns ------------------------------------------------------------------

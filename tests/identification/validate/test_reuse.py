@@ -171,7 +171,7 @@ def test_priors_that_do_not_fit() -> None:
         earlier(other, Model(ARM), session(1, 5, (0.0, 0.0))[0])
     played = Model(ARM.with_effects(*ARM.effects, EffectSpec("gear_ratio", 2)))
     calibrated = estimate(played, session(1, 12, (0.0, 0.0))[0], sigma="given").calibrated_arm()
-    with pytest.warns(UserWarning, match="prior: it holds beside gear_ratio:2, which the model does not have"):
+    with pytest.warns(UserWarning, match="prior: it was fitted with gear_ratio:2, which the model does not have"):
         earlier(calibrated, Model(ARM), session(2, 5, (0.0, 0.0))[0])
 
 
@@ -183,10 +183,7 @@ def test_a_held_base_that_stands_elsewhere_is_said() -> None:
         after, _ = in_space(shift=0.005, base=base)
         found = estimate(only(calibrated, ["joint_offset:3"], after), after)
         said = with_base_doubt(found, calibrated, ["joint_offset:3"], after).doubts
-        assert (
-            any(one.startswith("the arm does not stand where the arm file says: the RMS falls") for one in said)
-            is moved
-        )
+        assert any(one.startswith("the base pose is not that of the arm file: the RMS falls") for one in said) is moved
         assert any("--only base,joint_offset:3" in one for one in said) is moved
     words = ["base", "joint_offset:3"]
     free = estimate(only(calibrated, words, after), after)

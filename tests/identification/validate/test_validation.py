@@ -106,7 +106,7 @@ def test_figures_of_the_drawing_are_those_of_a_rigid_motion() -> None:
     plain = validate(calibrated(), Measurements(q, tip(q) + np.array([0.3, 0.4])), "none")  # nothing is refitted
     assert plain.model == Figures(*[pytest.approx(0.5)] * 4)
     assert plain.to_json()["refitted"] == []
-    assert [note.partition(" refitted")[0] for note in plain.notes] == ["with where the arm stands"]
+    assert [note.partition(" refitted")[0] for note in plain.notes] == ["with the base"]
     at_rest = Measurements(q, tip(q) + np.random.default_rng(2).normal(0.0, 0.1, (60, 2)))
     assert not validate(calibrated(), at_rest, "none").notes
     assert data["rms_nominal_mm"] == pytest.approx(np.sqrt(np.mean(left**2)), rel=1e-9)
@@ -437,7 +437,7 @@ def test_validation_finds_points_that_the_calibration_does_not_have() -> None:
     unnamed = replace(only_a, marker=None, marker_names=())
     for rows, said in (
         (renamed, "the calibration has no reflector new A, new B: their positions were fitted to these rows"),
-        (unnamed, "no column marker: the rows are taken to be of one reflector, whose position was fitted to them"),
+        (unnamed, "no column marker: the rows are assumed to be of one reflector; its position was fitted to them"),
     ):
         validated = validate(arm, rows)
         # as in the data of the fit, and what its 30 parameters from 180 equations add
