@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from operator import itemgetter
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any
@@ -406,18 +407,19 @@ def remarks(result: Diagnosis, skipped: Mapping[str, str], searched: int, status
     """
     measurements = result.measurements
     timed, most = {name for name, effect in library().items() if "time" in effect.needs}, 3
-    alike = dict[tuple[bool, str], list[tuple[str, float]]]()
+    alike = dict[tuple[bool, str], dict[str, float]]()
     for effect, like, share in result.aliases:
         # a drift and an effect of the posture are alike where rows follow one another by posture
         ordered = len({re.split(r"[:[]", label)[0] in timed for label in (effect, like)}) > 1
-        if effect in result.effects and (ordered or "[" in like):
-            alike.setdefault((not ordered, effect), []).append((like, share))
-    for (angles, effect), others in sorted(alike.items())[:most]:
+        one, other = (effect, like) if effect in result.effects or not ordered else (like, effect)
+        if one in result.effects and (ordered or "[" in like):
+            alike.setdefault((not ordered, one), {}).setdefault(other, share)
+    for (angles, effect), others in sorted(alike.items(), key=itemgetter(0))[:most]:
         where, how = ("at these postures", "at other joint angles") if angles else ("in this order", "in random order")
         # the odds stay below 20 up to lambda = 173
-        word = "cannot be distinguished from" if others[0][1] > 0.9999 else "is hard to distinguish from"
+        word = "cannot be distinguished from" if max(others.values()) > 0.9999 else "is hard to distinguish from"
         rest = f" and {len(others) - most} more" if len(others) > most else ""
-        yield f"{where} {effect} {word} {', '.join(like for like, _ in others[:most])}{rest}; to decide, measure {how}"
+        yield f"{where} {effect} {word} {', '.join([*others][:most])}{rest}; to decide, measure {how}"
     if len(alike) > most:
         yield f"the same holds of {count_of(len(alike) - most, 'more effect')}: --json lists them as aliases"
     if result.curves:

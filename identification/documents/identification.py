@@ -292,7 +292,8 @@ def validation_actions(data: Data, model: str, rows: str) -> list[Action]:
         return [Action("See whether only the base pose has changed:", f"armcal validate {model} {rows}")]
     asked = f"armcal validate {model} {rows} --refit offsets"
     moved = Action("See whether the zeros of the joints have moved, and what refitting them gains:", asked)
-    zeros = Action("Find the zeros of the joints again:", f"armcal identify {model} {rows} --only joint_offsets,base")
+    which = f"joint_offsets,base{',tool' * ('measured points' in refitted_in_words(data))}"
+    zeros = Action("Find the zeros of the joints again:", f"armcal identify {model} {rows} --only {which}")
     return [*([] if data["refit"] == "offsets" else [moved]), zeros]
 
 

@@ -154,8 +154,7 @@ class Effect:
     needs: ClassVar[frozenset[str]] = frozenset()
     family: ClassVar[str] = ""  # rivals for the same physical cause, which `diagnose` may merge; its name by default
     through: ClassVar[str] = ""  # kind of effects that it modifies, by what they need; without these it does nothing
-    # numbers that are chosen, not estimated. In formulas `self.chosen[name]` is the number, or a CasADi symbol when all
-    # values are tried at once
+    # in formulas `self.chosen[name]` is the number, or a CasADi symbol when all values are tried at once
     settings: ClassVar[Mapping[str, Setting]] = MappingProxyType({})
     prior: ClassVar[float] = 1.0  # weight relative to the common effects of the library, which have 1
     alias: ClassVar[str | None] = None  # base parameters from which no measurement of the tip can distinguish it

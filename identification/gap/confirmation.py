@@ -1,8 +1,4 @@
-"""Whether rows that were not used for a model confirm it: does the gap shrink, and as far as predicted?
-
-Where base or instrument of a hold-out stand elsewhere, or the measured point is another one, both models are placed
-again in its rows, as `validate` places them.
-"""
+"""Whether rows that were not used for a model confirm it: does the gap shrink, and as far as predicted?"""
 
 from __future__ import annotations
 
@@ -222,9 +218,12 @@ class HeldOut:
         missed = float(np.median(distances(residuals)))  # a few outliers do not make it another arm
         if missed > limit:
             refitted = f", {' and '.join(words)} refitted to these rows" if words else ""
+            target = base.model.arm.chain.instrument.own_targets
+            moved = f", or a {target} that was moved (armcal validate finds it again)" if target else ""
+            look = "armcal check tells what the columns of the file look like"
             raise InputError(
                 f"holdout: median residual {missed:.3g} mm with the arm calibrated on the data{refitted}, allowed: up "
-                f"to {limit:.3g} mm; another arm or unit? armcal check tells what the columns of the file look like"
+                f"to {limit:.3g} mm; another arm or unit{moved}? {look}"
             )
 
     def test(

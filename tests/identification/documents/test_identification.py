@@ -74,9 +74,11 @@ def test_what_follows_from_a_validation_and_from_a_fit() -> None:
     use = "armcal compensate m.toml targets.csv --out commands.csv"
     elsewhere, more = (False, "none", ["armcal validate m.toml d.csv"]), (False, "base", [refit, again])
     for better, how, expected in ((True, "base", [use]), elsewhere, more, (False, "offsets", [again])):
-        data = {"rms_mm": 1.0, "rms_nominal_mm": 2.0 if better else 1.0, "refit": how, "notes": []}
+        data = {"rms_mm": 1.0, "rms_nominal_mm": 2.0 if better else 1.0, "refit": how, "notes": [], "refitted": []}
         actions = validation_actions(data, "m.toml", "d.csv")
         assert [action.command for action in actions] == expected
+    in_cups = data | {"refitted": [{"name": "tool[1].x"}, {"name": "cup[A].x"}]}  # where no row places the base
+    assert validation_actions(in_cups, "m.toml", "d.csv")[-1].command == f"{again},tool"
     first = identification_actions({"warnings": []}, "a.toml", "d.csv", None, diagnosed=False)
     assert first[0].text.endswith("add --out calibrated.toml to this command.")
     assert first[1].command.startswith("armcal diagnose a.toml d.csv")

@@ -118,6 +118,14 @@ def test_nothing_is_missing_where_a_smaller_arm_fits_better(one_by_one: bool) ->
     assert found.verdict == "none"
 
 
+def test_a_holdout_in_cups_that_were_moved_is_told_from_another_arm() -> None:
+    generator = np.random.default_rng(2)
+    truth, moved = Exponentials(generator), {name: [x, y, z + 200.0] for name, (x, y, z) in CUPS.items()}
+    data, holdout = (rows(truth, cups, 10, NOISE, generator) for cups in (CUPS, moved))
+    with pytest.raises(InputError, match=r"another arm or unit, or a cup that was moved \(armcal validate finds it"):
+        diagnose(Arm(replace(drawing(), instrument=Socket()), sigma=NOISE), data, holdout)
+
+
 def test_a_slide_across_an_axis_tells_the_size() -> None:
     """One along all axes does not: a flat arm twice as wide lifts as high."""
     turn, slide = DHRow(300.0, 0.0, 0.0), DHRow(0.0, 0.0, 0.0, type="prismatic", limits=(0.0, 100.0))
