@@ -337,10 +337,11 @@ def _of_drawing(arm: Arm, measurements: Measurements, search: bool, doubted: boo
             yield from (one, *flips(one))
 
     def simplest() -> Reading:
-        """The fewest changes, and zeros among them, of those that leave about as little as the best."""
-        alike = ALIKE * min(tried.values())
-        near = [reading for reading, rms in tried.items() if rms <= alike]
-        return min(near, key=lambda reading: (reading.changes, np.count_nonzero(reading.quarters), tried[reading]))
+        """Of the fewest changes beside which no more are clearly better: what leaves about the least, zeros last."""
+        fewest = min(reading.changes for reading, rms in tried.items() if rms <= CLEARLY * min(tried.values()))
+        of_these = {reading: rms for reading, rms in tried.items() if reading.changes == fewest}
+        near = [reading for reading, rms in of_these.items() if rms <= ALIKE * min(of_these.values())]
+        return min(near, key=lambda reading: (np.count_nonzero(reading.quarters), tried[reading]))
 
     for change in (moved_zero, moved_zero, changed, changed_twice, counted, changed, changed):
         ranked = sorted(tried, key=tried.__getitem__)
