@@ -136,15 +136,15 @@ def init_files(
     """Write the first files: arm, measurements, what to do.
 
     An arm file with comments, the columns of a measurement file, and the steps of a calibration. One of --links, --urdf
-    and --dh says which arm; a planar one of three links without any of them.
+    and --dh says which arm; without any of them it is a planar one of three links.
 
     links : A planar arm: how many links (a whole number, 1 to 12), or their lengths [mm]: 612,572.3 or, of one, 612.0
     robot : A spatial arm from a URDF file.
     dh : A spatial arm from N Denavit-Hartenberg rows.
-    base_link : Of the URDF file; left out: its root.
-    tip_link : Of the URDF file; left out: tool0, tcp .. or the end with the most joints.
-    instrument : Of a spatial arm without a tracker: distance (ball bar), sphere or plane (touch probe), socket (cups).
-    out : Folder; made if missing.
+    base_link : First link of the chain in the URDF file; left out: its root.
+    tip_link : Last link of the chain; left out: tool0, tcp .. or the end with the most joints.
+    instrument : For a spatial arm without a tracker: distance (ball bar), sphere or plane (touch probe), socket (cups).
+    out : Folder; created if missing.
     """
     from identification.files.first_files import ARM, GUIDES, STEPS, dh_files, mesh_files, planar_files, urdf_files
 
@@ -305,8 +305,8 @@ def identify_files(
 ) -> Answer:
     """Estimate the arm's parameters from measurements.
 
-    With 95 % intervals. Where a column session distinguishes sessions, each gets a base of its own; the file has that
-    of the first. With --only all other parameters stay at the values of ARM.
+    With 95 % intervals. If a column session distinguishes sessions, each gets its own base; the file has that of the
+    first. With --only all other parameters stay at the values of ARM.
 
     prior : Fit the library's effects too, each held by a prior of its typical size, or not; left out: as the plan asks.
     missing : Only these effects, for --library-prior: backlash,gear_ratio
@@ -461,13 +461,13 @@ def diagnose_files(
     """Find and name the effect that the model lacks.
 
     Find where model and measurements disagree, name the missing effect, and show the gap shrink. Several files DATA
-    are sessions of one arm, as are the rows that a column session tells apart: each gets a base of its own, and
+    are sessions of one arm, as are rows that a column session distinguishes: each session gets its own base, and
     each named effect is compared between them.
 
-    holdout : Measurements used for nothing but the confirmation.
+    holdout : Measurements used only for the confirmation.
     report : Write an HTML page with pictures.
     named_only : Write only what is named, without less likely effects and error curves.
-    out : Write the arm file of the model that predicts best; --force also where it is not confirmed.
+    out : Write the arm file of the model that predicts best; with --force even if it is not confirmed.
     """
     from identification.documents.diagnosis import holds_in_words, refuted, tests_of
     from identification.files.arm import load_arm
@@ -504,11 +504,11 @@ def diagnose_files(
 def validate_files(model: Path, data: Path, *, refit: Literal["base", "offsets", "none"] = "base") -> Answer:
     """How well a calibrated model predicts other measurements.
 
-    Compare the calibrated MODEL (an arm file with [calibration]) with other measurements DATA. All that was identified
-    stays as it is; the drawing, refitted in the same way, stands beside it. With a column session in DATA the base is
-    refitted in each session.
+    Compare the calibrated MODEL (an arm file with [calibration]) with other measurements DATA. What was identified
+    stays as it is; the drawing, refitted in the same way, is shown for comparison. With a column session in DATA the
+    base is refitted in each session.
 
-    refit : What is fitted to DATA: where the base stands, that and all joint offsets, or nothing.
+    refit : What is fitted to DATA: the base pose, that and all joint offsets, or nothing.
     """
     from identification.documents.identification import validation_actions
     from identification.files.arm import load_arm
@@ -538,7 +538,7 @@ def compensate_files(
     TARGETS are x_mm,y_mm or nominal q1_deg.. on the CALIBRATED arm; in space with z_mm, and rx_deg, ry_deg, rz_deg
     or a quaternion where the tool's orientation matters. Targets are in the frame of the measurements that
     calibrated the arm (of a ball bar or a probe: of the arm's base). Commands keep to the joint limits and the
-    [[constraints]] of the arm file; where that cannot be, the row says why and has no angles. A warning counts the
+    [[constraints]] of the arm file; where that is impossible, the row says why and has no angles. A warning counts the
     targets that need joint angles outside those of the identification, where the model extrapolates.
 
     out : Write the joint commands (CSV).
@@ -563,7 +563,7 @@ def effects(name: str | None = None) -> Answer:
     """The physical effects that armcal knows, and the data that each needs.
 
     A list of the library, or everything about the effect NAME: formula, parameters with units and typical sizes,
-    which data or tables it needs and how to give them, and how it stands in an arm file. Effects of installed
+    which data or tables it needs and how to give them, and how to write it in an arm file. Effects of installed
     packages (entry points armcal.effects) are in the list.
     """
     from identification.documents.identification import entry_document, library_document

@@ -30,7 +30,7 @@ SUPPLY = {
     "distance": '[instrument] with kind = "distance" in the arm file, and the column distance_mm in the measurements',
     "time": "the column order or time_s in the measurements; without it rows count as measured in their order",
     "past": "the column order or time_s in the measurements; without it rows count as measured in their order",
-    "directions": "columns direction1, direction2 .. (+1 or -1) in the measurements; left out: from order without gaps",
+    "directions": "columns direction1, direction2 .. (+1 or -1) in the measurements; if absent: from gapless order",
     "temperature": "the column temperature_C in the measurements",
     "session": "the column session in the measurements, or one file for each session",
     "commands": "columns commanded1_deg, commanded2_deg .. in the measurements, beside the angles that were read",

@@ -116,7 +116,7 @@ def _coupling(self: Effect) -> list[Number]:
 
 of_joint(
     "joint_coupling",
-    "the joint before turns this one a little: c q_(j-1), of a belt or a wrist",
+    "the previous joint turns this one a little: c q_(j-1), of a belt or a wrist",
     _coupling,  # typical: as of `gear_ratio`: what a controller leaves of a coupling
     first_joint=2,
     joint_angles=lambda self, chain, values: values * chain.q[self.joint_index - 1],
@@ -137,13 +137,13 @@ of_gravity(
 )
 of_joint(
     "servo_error",
-    "controller leaves the joint beside its command: b + h s_j; positions follow what is read",
+    "controller leaves the joint off its command: b + h s_j; positions follow what is read",
     each("bh", "rad", 5e-5, LEVER),  # typical: a count of an encoder of 17 bits, 4.8e-5 rad
     of_commands=True,
 )
 of_turning_joint(
     "joint_error_curve",
-    "smooth error over the angles measured, as a table: a function of the joint's own angle, found by `diagnose`; "
+    "smooth error over the measured angles, as a table: a function of the joint's own angle, found by `diagnose`; "
     "zero beyond these",
     tabulated=True,
     # supplied by the model; its derivative with respect to the posture is neglected
@@ -184,7 +184,7 @@ def _beside(effect: Effect, chain: ArmState) -> ca.SX:
 of_step = partial(of_time, prior=RARE, once=True, settings={"at": STEP})
 of_step(
     "joint_step",
-    "zero of a joint jumps at a time: b for t > at, as after a collision or a lost count; t = -0.5..0.5, in each "
+    "zero of a joint jumps at some time: b for t > at, as after a collision or a lost count; t = -0.5..0.5, in each "
     "further session 1.1 later",
     [Number("b", "rad", 2e-4, LEVER)],  # typical: a few encoder counts lost, or a light collision
     per_joint="required",
@@ -192,14 +192,14 @@ of_step(
 )
 of_step(
     "link_step",
-    "link is longer after a remounting: d for t > at, as after it was taken off and mounted again",
+    "link is longer after remounting: d for t > at, as after it was taken off and mounted again",
     [Number("d", "mm", 0.1)],  # typical: a flange remounted without dowels
     per_joint="required",
     extensions=lambda self, chain, values, lengths: values * _after(self, chain),
 )
 of_step(
     "base_step",
-    "base or tracker jumps at a time: + (x, y), in space + (x, y, z), on one side of a time",
+    "base or tracker jumps at some time: + (x, y), in space + (x, y, z), on one side of a time",
     lambda self: each(self.chain.axes, "mm", 0.1),  # typical: as of `link_step`
     # side 1: for t > at, -1: for t < at; where the model has no `base_offset` that is not the same
     settings={"at": replace(STEP, values=Scope.step_times_within), "side": Setting(-1, 1, (-1.0, 1.0), whole=True)},
@@ -213,7 +213,7 @@ of_load(
 )
 of_load(
     "payload_place",
-    "payload hangs elsewhere than the file says (payload_at_mm): shifted by (x, y, z) in the frame of the tip",
+    "payload hangs in another place than the file says (payload_at_mm): shifted by (x, y, z) in the frame of the tip",
     each("xyz", "mm", 50.0),  # typical: grippers are 100 mm long, targets sit on their rims
     family="payload_error",
     dimensions=SPACE,
@@ -221,7 +221,7 @@ of_load(
 )
 of_load(
     "gravity_tilt",
-    "base leans against gravity: turned by an angle, in space by two about x and y, for every effect of gravity",
+    "base is tilted against gravity: turned by an angle, in space by two about x and y, for every effect of gravity",
     # typical: floors are level to some mm per m
     lambda self: each({1: ("angle",), 3: "xy"}[len(self.chain.turning)], "rad", 5e-3),
     gravity_turn=lambda self, chain, values: (  # about the vertical nothing
@@ -244,7 +244,7 @@ def _leaning(effect: Effect, chain: ArmState, values: ca.SX) -> ca.SX:
 # a + ib = alpha^2 exp(2i beta) / 4. In joint 1 that is `axes_skew`
 of_joint(
     "axis_tilt",
-    "axis leans out of the plane: what lies beyond is seen foreshortened",
+    "axis is tilted out of the plane: everything beyond it is seen foreshortened",
     # typical: alpha^2 / 4 with alpha = 0.02 rad, bearings 1 mm out of line on 50 mm
     lambda self: each("ab", "1", 1e-4, float(np.sum(self.chain.lengths[self.joint_index :]))),
     first_joint=2,
@@ -411,7 +411,7 @@ add_effect(
 )
 add_effect(
     "length_offset",
-    "all measured distances too long by the same: + c, the zero of a draw wire, the reference length of a ball bar",
+    "all distances too long by the same amount: + c, the zero of a draw wire, the reference length of a ball bar",
     [Number("c", "mm", 0.5)],  # typical: wires are zeroed by hand, bars measured between rims
     needs=frozenset({"distance"}),
     dimensions=SPACE,
@@ -435,7 +435,7 @@ add_effect(
 )
 add_effect(
     "base_rotation",
-    "base turned against the measurements: by an angle",
+    "base rotated against the measurements: by an angle",
     [Number("angle", "rad", 1e-3, lambda self: self.chain.levers[0])],  # typical: as `base_offset`, 1 mm at 1 m
     alias="the offset of joint 1",
     dimensions=PLANE,  # in space the base is part of the geometry
