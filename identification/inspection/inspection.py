@@ -6,7 +6,7 @@ what repeats scatter by; where neither is known, neither is the accuracy.
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -28,7 +28,7 @@ from identification.inspection.readings import (
     gap_notes,
     read_differently,
 )
-from identification.kinematics.chain import BASE
+from identification.kinematics.chain import BASE, MODIFIED, STANDARD, chain_of
 from identification.kinematics.frames import pose_table
 from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, REVOLUTE, Parameter
 from identification.measurements import POINT, Measurements, rms_distance
@@ -168,7 +168,9 @@ def _problems(
     zeros, alone = list[str](), readings.better is None or readings.better.moved_zeros
     if alone and fit is not None and fit.status is not Status.implausible:
         zeros = doubts.far_zeros(fit.model, fit.parameters)  # several at once, where another reading has one or two
-    sentences = data_warnings(measurements, arm) or ([] if zeros else readings.sentences)
+    read = readings.better is not None and readings.explained
+    sentences = [] if read else other_convention(arm, measurements, drawing)
+    sentences = sentences or data_warnings(measurements, arm) or ([] if zeros else readings.sentences)
     if not sentences:
         sentences = [*doubts.another_frame(Model(arm), measurements), *other_frame(arm, readings.written)] or zeros
     rows = np.arange(len(measurements)) + 1
@@ -223,6 +225,22 @@ def _ranges(arm: Arm, postures: Array) -> tuple[list[dict[str, Any]], list[list[
             still.append(j)
     hardly = "joint {} hardly moves: its" if len(still) == 1 else "joints {} hardly move: their"
     return entries, rows, [f"{hardly.format(', '.join(map(str, still)))} own errors cannot be seen"] * bool(still)
+
+
+def other_convention(arm: Arm, measurements: Measurements, drawing: float) -> list[str]:
+    """That the drawing's Denavit-Hartenberg table explains the positions if it is of the other convention, in a
+    sentence; none where it does so as it is, or in neither;  drawing : what it leaves [mm]"""
+    if not arm.chain.rows or drawing <= DRAWN * arm.reach:
+        return []
+    named, left = MODIFIED if arm.chain.convention == STANDARD else STANDARD, np.inf
+    chain = chain_of(arm.chain.rows, named)
+    chain = replace(arm.chain, joints=chain.joints, end=chain.end, convention=named)
+    with suppress(InputError):  # too few rows
+        left = rms_distance(drawing_residuals(replace(arm, chain=chain), measurements))
+    if left > DRAWN * arm.reach or CLEARLY * left > drawing:
+        return []
+    gain = f"the drawing then leaves {left:.3g} mm instead of {drawing:.4g}"
+    return [f'it looks as if the [[dh]] table is of the {named} convention: {gain}; write convention = "{named}"']
 
 
 # -- where the arm stands, against the arm file ------------------------------------------------------------------------

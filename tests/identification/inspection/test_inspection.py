@@ -13,6 +13,7 @@ from identification.estimation.repeats import NoiseFloor
 from identification.gap.library_prior import library_prior
 from identification.inspection.inspection import inspect, other_frame, sufficiency
 from identification.inspection.readings import read_differently
+from identification.instruments.tracker import Tracker
 from identification.kinematics.chain import BASE
 from identification.kinematics.frames import rotation_about
 from identification.validate import validate
@@ -254,3 +255,26 @@ def test_what_a_prior_held_is_left_out() -> None:
     count = f"{len(library.prior.deviations)} values of effects, which a prior held where they were identified"
     assert any(note.startswith(count) for note in seen["notes"])
     assert seen["rms_fitted_mm"] == pytest.approx(alone["rms_fitted_mm"], rel=1e-6)
+
+
+@pytest.mark.parametrize("orientations", [False, True])
+def test_a_table_of_the_other_convention_is_named(orientations: bool) -> None:
+    """Rows as printed, each a turn about x, a shift along it, a turn about z and a shift along that: modified."""
+    rows = [(0.0, 0.0, 380.0), (30.0, -np.pi / 2.0, 0.0), (440.0, 0.0, 0.0), (35.0, -np.pi / 2.0, 435.0)]
+    q, frames = np.random.default_rng(2).uniform(-1.5, 1.5, (40, 4)), []
+    for angles in q:
+        frames.append(np.eye(4))
+        for (a, alpha, d), angle in zip(rows, angles, strict=True):
+            across, along = np.eye(4), np.eye(4)
+            across[:3, :3], across[0, 3] = Rotation.from_rotvec([alpha, 0.0, 0.0]).as_matrix(), a
+            along[:3, :3], along[2, 3] = Rotation.from_rotvec([0.0, 0.0, angle]).as_matrix(), d
+            frames[-1] = frames[-1] @ across @ along
+    turned, seen = np.array(frames)[:, :3, :3], np.array(frames) @ [40.0, 20.0, 90.0, 1.0]
+    chains = [chain_of([DHRow(*row) for row in rows], convention) for convention in ("modified", "standard")]
+    arms = [Arm(replace(chain, instrument=Tracker(100.0 if orientations else None))) for chain in chains]
+    data = Measurements(q, seen[:, :3], orientations=turned if orientations else None)
+    right, wrong = (inspect(arm, data).problems for arm in arms)
+    assert right == ()
+    (said,) = wrong
+    assert said.startswith("it looks as if the [[dh]] table is of the modified convention: the drawing then leaves ")
+    assert said.endswith('; write convention = "modified"')
