@@ -1,6 +1,7 @@
 """The dictionary: all blocks that may be missing, linearized at a fitted model, with columns scaled to unit size.
 
-Blocks that are no effect of the library say where something is missing, not what.
+Blocks that are no effect of the library say where something is missing, not what. Of effects with settings each value
+is a block, and together they have the weight of one unscanned effect.
 
 The column of an effect is the lever of its place in the chain (derivative of the position with respect to what is added
 there, the same for all effects) times the slope (derivative of what is added with respect to the effect's parameter).

@@ -1,4 +1,8 @@
-"""Whether rows that were not used for a model confirm it: does the gap shrink, and as far as predicted?"""
+"""Whether rows that were not used for a model confirm it: does the gap shrink, and as far as predicted?
+
+Where base or instrument of a hold-out stand elsewhere, or the measured point is another one, both models are placed
+again in its rows, as `validate` places them.
+"""
 
 from __future__ import annotations
 

@@ -215,7 +215,10 @@ def pairs_of(names: Sequence[str], likeness: Array) -> list[tuple[str, str, floa
 
 def look_alikes(problem: Linearized, sees: Detectability, labels: Set[str]) -> tuple[tuple[str, str, float], ...]:
     """Pairs (effect, what it is like, likeness) of the effects with these labels: scanned ones of the same joint, then
-    others, then those that no data can tell from base parameters."""
+    others, then those that no data can tell from base parameters.
+
+    On a grid of angles a ripple of 15 periods per turn can have the same column as an eccentric encoder.
+    """
     places = {b.place for b in problem.blocks if b.label in labels and b.place.startswith("joint:")}
     near = [
         (k, b.label)
