@@ -30,9 +30,9 @@ class Design(PlanOfProblem):
     """A plan with its certificate.
 
     problem : what it was made or judged for;  plan : the postures, in the order of measurement
-    bound : no plan in the design space has a greater criterion value, None: not known
+    bound : upper bound of the criterion over the design space, None: not known
     status : how the search ended
-    solver, starts, seconds : what was spent on it
+    solver, starts, seconds : how it was searched for
     """
 
     bound: Bound | None = None
@@ -43,9 +43,9 @@ class Design(PlanOfProblem):
 
     @cached_property
     def not_identifiable(self) -> tuple[str, ...]:
-        """Combinations of parameters that are not estimable with the plan, decided by the singular values as in
-        `identify`; effects at neutral conditions never are. Where the smallest is below about 1e-7 of the largest, M
-        cannot tell it from none, and `value` is -inf all the same."""
+        """Combinations of parameters that the plan does not determine, decided by the singular values as in
+        `identify`; it never determines effects at neutral conditions. M cannot tell singular values below about 1e-7
+        of the largest from zero: `value` is then -inf although they count here."""
         parameters = self.problem.model.parameters
         jacobians = plan_jacobians(self.problem, self.plan.postures, self.plan.weights)
         ones = np.ones(len(parameters))
@@ -90,7 +90,7 @@ class Design(PlanOfProblem):
 
     @property
     def certified_optimal(self) -> bool:
-        """True if the plan is allowed and none that is can be better by more than 1e-6 of efficiency."""
+        """True if the plan is allowed and no allowed plan can be better by more than 1e-6 of efficiency."""
         return self.efficiency is not None and self.efficiency >= CERTIFIED
 
     @property
@@ -293,9 +293,9 @@ class Design(PlanOfProblem):
 
 
 def score(problem: DesignProblem, plan: Plan | ArrayLike, bound: Bound | None = None) -> Design:
-    """Any plan as a `Design`, judged against `bound` if there is one; knows no solver.
+    """Any plan as a `Design`, judged against `bound` if there is one, without any solver.
 
-    plan : or its postures (m, n) [rad]. Raises `InputError` for what is no plan of this arm.
+    plan : a `Plan`, or its postures (m, n) [rad]. Raises `InputError` if it is no plan of this arm.
     """
     try:
         judged = plan if isinstance(plan, Plan) else Plan(np.asarray(plan, dtype=float))
@@ -313,10 +313,10 @@ def score(problem: DesignProblem, plan: Plan | ArrayLike, bound: Bound | None = 
 
 
 def score_plan(problem: DesignProblem, plan: Plan | ArrayLike, *, seconds: float | None = None) -> Design:
-    """Any plan, judged against the best bound that is known; outside limits and constraints none applies, and none is
-    looked for. Raises `InputError` for a plan that does not fit.
+    """Any plan, judged against the best known bound; outside limits and constraints no bound applies, and none is
+    searched for. Raises `InputError` for a plan that does not fit.
 
-    seconds : for the bound; cut by them it holds all the same
+    seconds : time for the bound, which is valid even if its search is cut short
     """
     design = score(problem, plan)
     if design.outside:

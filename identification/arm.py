@@ -50,7 +50,7 @@ class Gravity(ByValue):
 
 @dataclass(frozen=True)
 class Machining:
-    """What the geometry of a spatial arm is off by, as standard deviations: the prior of its corrections."""
+    """Standard deviations of the geometric errors of a spatial arm: the prior of its corrections."""
 
     translation: float = 1.0  # [mm]
     rotation: float = np.radians(0.5)  # [rad]
@@ -205,7 +205,7 @@ class Calibration(ByValue):
 
     @property
     def scatter(self) -> float | None:
-        """Standard deviation of one coordinate that its identification left [mm], None: it does not say."""
+        """Residual standard deviation of one coordinate in its identification [mm], None: it does not say."""
         scatter = self.provenance.get("scatter_mm")
         return scatter if isinstance(scatter, float) and SIGMA_RANGE[0] <= scatter <= SIGMA_RANGE[1] else None
 
@@ -332,7 +332,7 @@ class Arm(ByValue):
 
     @property
     def provenance(self) -> Mapping[str, Any]:
-        """What its calibration says of the data it comes from."""
+        """What its calibration records about its data."""
         return {} if self.calibration is None else self.calibration.provenance
 
     def require_calibrated(self, file: str | None = None) -> None:
@@ -375,7 +375,7 @@ class Arm(ByValue):
 
     @property
     def payload(self) -> float:
-        """[kg] at the tip, 0 where nothing is said of it."""
+        """[kg] at the tip, 0 if not given."""
         return 0.0 if self.gravity is None else self.gravity.payload
 
     @property

@@ -26,8 +26,8 @@ PLACED = (
 def campaign_document(
     paths: Sequence[Path], package_dirs: Sequence[Path] = (), show_plan: Callable[..., Section] | None = None
 ) -> tuple[Document, dict[str, str]]:
-    """All that the files say: calibrations beside each other, what each leaves of every set of measurements, what to do
-    next; and of each file its kind, in words.
+    """A report on the files: calibrations side by side, the error of each on every set of measurements, what to do
+    next; and the kind of each file, in words.
 
     show_plan : the section of a plan of an arm, of its name and of what the model in use leaves of measurements
 

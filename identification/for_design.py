@@ -306,11 +306,11 @@ def without_prior(arm: Arm) -> Arm:
 
 
 def with_points(chain: KinematicChain, contacts: bool = False) -> KinematicChain:
-    """The chain with the measured points that it does not know beside the last axis, evenly around it, and the center
-    of measured distances where the arm says, or before it.
+    """The chain with unknown measured points placed evenly around the last axis, and the center of measured distances
+    where the arm file gives it, else in front of the arm.
 
-    contacts : whether they can be planned, at postures that touch. Raises `InputError` where not, and where the surface
-    has no place.
+    contacts : whether they can be planned, at postures that touch. Raises `InputError` if not, and if the place of the
+    surface is not known.
     """
     instrument = chain.instrument
     placed = bool(instrument.targets) if instrument.own_targets else not np.array_equal(chain.base, np.eye(4))

@@ -60,7 +60,7 @@ VALUES: dict[str, tuple[tuple[tuple[int | str, ...], ...], str, Callable[[Any], 
 # -- what a row is measured under --------------------------------------------------------------------------------------
 @dataclass(frozen=True, eq=False)
 class Conditions(ByValue):
-    """What a posture is measured under, one row per posture. None: the neutral value.
+    """The conditions under which postures are measured, one row per posture. None: the neutral value.
 
     payload : (m,) [kg], None: the arm's own payload
     temperature : (m,) [K] deviation from the mean temperature, None: 0
@@ -82,7 +82,7 @@ class Conditions(ByValue):
     orientation: Array | None = None
 
     def table(self, columns: Mapping[str, slice], postures: Array, payload: float) -> Array:
-        """(..., m, C) in these columns (`condition_columns`), of postures (..., m, n). Of which nothing is said is
+        """(..., m, C) in these columns (`condition_columns`), of postures (..., m, n). What is not given is
         neutral: the arm's payload [kg], approach +1, the first of several markers, of joints that remember the posture
         itself, and zero."""
         neutral: dict[str, Any] = {"payload": payload, "directions": 1.0, "marker": -1.0}
@@ -337,11 +337,11 @@ class Measurements(ByValue):
 
     @cached_property
     def posture_numbers(self) -> NDArray[np.int64]:
-        """(m,) number of each row's posture, 0, 1, ...: rows of one posture, of whatever marker, share its errors.
+        """(m,) number of each row's posture, 0, 1, ...: rows of one posture share its errors, whatever their marker.
 
-        As the column `posture` says; without it, rows whose angles are linked by differences of up to `SAME_POSTURE`
-        and all lie within three of these: what is linked over more comes from a joint that moves on slowly, and of such
-        a scan only rows of equal angles are.
+        From the column `posture`; without it, of rows whose angles are linked by differences of up to `SAME_POSTURE`
+        and all lie within three of these. Longer chains of links come from a joint that moves on slowly; in such a scan
+        only rows of equal angles share a posture.
         """
         if self.repeats is not None:
             return np.unique(self.repeats, return_inverse=True)[1]
@@ -371,8 +371,8 @@ class Measurements(ByValue):
 
     @cached_property
     def originals(self) -> NDArray[np.int64]:
-        """(m,) number of the first row of equal angles, position, orientation and marker, to the last digit: of a
-        copied row, in this or another session, another number than its own."""
+        """(m,) number of the first row of equal angles, position, orientation and marker, to the last digit: for
+        a row that is a copy, in this or another session, not its own number."""
         columns = (self.postures, self.positions, self.numbers("marker"), self.orientations)
         rows = np.column_stack([np.reshape(each, (len(self), -1)) for each in columns if each is not None])
         _, first, number = np.unique(rows, axis=0, return_index=True, return_inverse=True)

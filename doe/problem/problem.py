@@ -84,16 +84,16 @@ class DesignProblem:
     lower, upper : (n,) joint limits [rad], of prismatic joints [mm]; None: the model's
     constraints : what a posture must satisfy besides the limits, see `doe.problem.constraints`
     kept : (k, n) postures already measured, which count in the information (`prior`); None: none
-    kept_excess : [mm^2] of them all, of each, (k,), or of each coordinate, (k, d), by how much their variance exceeds
-        that of the new runs; inf: it was not read
+    kept_excess : [mm^2] by how much their variance exceeds that of the new runs: one number, (k,) of each, or (k, d) of
+        each coordinate; inf: that was not read
     choices : (N, n) postures to choose from, None: anything within limits and constraints
-    sampled : True if the choices are a random sample that a search makes do with: bounds are then over all postures
-    minimum_distance : [rad] two postures of a plan differ by this in some joint at least, in `joint_units`; 0: repeats
-        are allowed
-    deviations : parameter name -> standard deviation of what is known of it before anything is measured [API unit],
-        around the model's values: a normal prior, which needs sigma; parameters without one are free
+    sampled : True if the choices are only a random sample, for the search: bounds are then over all postures
+    minimum_distance : [rad] any two postures of a plan differ by at least this in some joint, in `joint_units`; 0:
+        repeats are allowed
+    deviations : parameter name -> standard deviation [API unit] of its normal prior around the model's value, which
+        needs sigma; parameters without one are free
     fit : how measurements of its plans are to be fitted, see `Plan`
-    beyond : mean square [mm^2] of the tip's distance that no plan can lower: errors that a posture does not share
+    beyond : mean square [mm^2] of the tip error that no plan can reduce: errors that postures do not share
     """
 
     model: DesignModel

@@ -112,7 +112,7 @@ def solve(
     solver : settings object, or name; left out: a plan from theory if that attains the bound, else exchange
     seed : the same seed gives the same plan, unless the time limit binds
     starts, seconds : budget; left out: the solver's own number of starts, fewer when many of them agree; no time limit
-        up to 100 runs, 30 s for more. The bound is part of it: whichever of search and bound comes first ends at half
+        up to 100 runs, 30 s for more. The bound is included: whichever of search and bound comes first gets half of it
     bound : upper bound of the criterion; left out: the best that is known, see `doe.bounds.column_generation`
     begin : (m, n) a plan to begin with;  accepted : which plans may take its place
 

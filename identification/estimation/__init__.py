@@ -43,15 +43,15 @@ def estimate(
     sigma : standard deviation of one coordinate [mm], one number or (m,), which intervals then rely on; "given": the
         same with the data's sigma per row, else the arm's; "estimated": from the residuals, whatever the data say. Left
         out: as "given" as long as chi2 does not contradict it, else the scatter of the residuals
-    prior : of parameters, which the data then move as far as they can, with intervals of the posterior
+    prior : of parameters; estimates and intervals are then those of the posterior
 
-    Where a spatial arm stands and where its measured points are is found from nothing, unless the arm says so; its
-    geometry is held by the prior of its machining. What a plan does not determine is named in `not_identifiable`.
+    Base pose and measured points of a spatial arm are found without starting values, unless the arm gives them; its
+    geometry has the prior of its machining. What a plan does not determine is named in `not_identifiable`.
 
-    With a prior the noise is that given, or of the largest marginal likelihood ("estimated"; left out: no less than
-    what is given). The sizes of the machining are those of the model or, where the data say that the arm is farther
-    from its drawing, a common multiple of them, and one of the joint zeros', likeliest together with the noise;
-    `doubts` say so.
+    With a prior the noise is the given one, or that of largest marginal likelihood ("estimated"; left out: no less than
+    what is given). The sizes of the machining are those of the model. If the data show that the arm is farther from its
+    drawing, they are multiplied by a common factor, and those of joint zeros by a second one, chosen as the likeliest
+    together with the noise; `doubts` say so.
 
     Raises `InputError` for data that do not fit the model, `JobError` if that fails.
     """

@@ -73,9 +73,9 @@ class Identification(Documented, ReadOnly):
     scatter : standard deviation of one coordinate that the residuals show [mm], None without spare equations; with a
         prior no less than a sigma that is given
     postures : (k, n) measured [rad, mm], each once for every marker and session;  inside : `WhiteRows.inside`
-    outlier_rows : numbers from 1 of single rows that the model does not explain, which are in the fit all the same
+    outlier_rows : numbers from 1 of single rows that the model does not explain, but that are in the fit
     unexplained_rows : the same of rows that come together, by posture or joint angle: what the model lacks there
-    prior : of the parameters, as it was taken;  machining_factor : on the sizes of [machining] in it, None: not in it
+    prior : of the parameters, as it was taken;  machining_factor : on its sizes of [machining], None: it has none
     held : names of parameters that were not estimated, with the covariance of an earlier calibration
     contradiction : parameter whose prior, an earlier calibration, the measurements contradict most
     """

@@ -48,7 +48,7 @@ RENAMED = {"range_mm": "reach", "center_mm": "start"}  # keys with other names i
 def load_arm(path: PathLike | Mapping[str, Any], package_dirs: Sequence[PathLike] = ()) -> Arm:
     """The arm that a TOML file describes, or the tables of one.
 
-    package_dirs : folders in which meshes of its URDF file are, besides those beside it, below, and in its package
+    package_dirs : folders with meshes of its URDF file, besides its own folder, those below, and its package
 
     Raises `InputError`, one line naming file, key, what was found and what is allowed. Warns (`UserWarning`) when
     lengths look like metres or joint limits like radians.

@@ -306,7 +306,7 @@ class Plan(ByValue):
 
     @property
     def from_elsewhere(self) -> list[int]:
-        """Runs, from 1, to which a joint comes from another side than the plan's file says it is to."""
+        """Runs, from 1, that a joint approaches from another side than the plan's file says."""
         if (asked := self.conditions.get("directions")) is None:
             return []
         motions = np.diff(self.postures, axis=0, prepend=self.postures[:1])  # to the first it may come from anywhere
@@ -355,7 +355,7 @@ class Plan(ByValue):
 
         joints : how many the arm has, or the type of each: a prismatic one has a column `q1_mm`
         carried_out : the file is one of measurements, and has other columns
-        vias : read the way-points of the moves too, which nobody measures
+        vias : read the way-points of the moves too, where nothing is measured
         """
         table = read_table(path, vias=vias)
         kinds, weights, via, given = _joint_kinds(table, joints), None, None, _units_of(table, "sigma", LENGTH)

@@ -1,7 +1,7 @@
-"""Whether an effect is the same in every session: one of the robot returns, one of a set-up does not.
+"""Whether an effect is the same in every session: effects of the robot return, effects of a set-up do not.
 
 The four explanations of its values t in one session and o in the others (identification/README.md, "Several sessions")
-are sets of blocks of `likelihood`: the effect's columns times the indicator of the session, and of the others.
+are sets of blocks (see `likelihood`): the effect's columns, restricted to the rows of that session or of the others.
 """
 
 from collections.abc import Iterator, Sequence

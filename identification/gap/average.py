@@ -1,4 +1,4 @@
-"""The model that predicts best: the average over the posterior, as an arm file has it."""
+"""The model that predicts best: the average over the posterior, in the form of an arm file."""
 
 from __future__ import annotations
 

@@ -1,11 +1,11 @@
 """The dictionary: all blocks that may be missing, linearized at a fitted model, with columns scaled to unit size.
 
-Blocks that are no effect of the library say where something is missing, not what. Of effects with settings each value
-is a block, and together they have the weight of one unscanned effect.
+Blocks that are not effects of the library say where something is missing, but not what. An effect with settings has one
+block for each value of the settings; together these have the weight of one effect without settings.
 
-The column of an effect is the lever of its place in the chain (derivative of the position with respect to what is added
-there, the same for all effects) times the slope (derivative of what is added with respect to the effect's parameter).
-One CasADi function with the settings as arguments gives the slopes of one effect at all joints for all values tried.
+An effect adds something at one place of the chain, such as a joint angle. Its column is the lever of that place (the
+derivative of the position with respect to the addition, the same for all effects) times the slope (the derivative of
+the addition with respect to the effect's parameter). One CasADi function gives the slopes at all joints and settings.
 """
 
 from __future__ import annotations

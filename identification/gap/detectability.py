@@ -1,6 +1,6 @@
-"""What the columns of effects show beside the base model: how visible an effect is, at which size, and what it is like.
+"""How visible each effect is beside the base model, from which size on it is detected, and which effects look like it.
 
-All of it follows from the columns of `gap.blocks`, projected off the base model. Two effects of likeness 1 cannot be
+All of this follows from the columns of `gap.blocks`, projected off the base model. Two effects of likeness 1 cannot be
 told apart by these rows, whatever their sizes (identification/README.md, "Gap workflow").
 """
 

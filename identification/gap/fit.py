@@ -1,4 +1,4 @@
-"""The rows of a diagnosis with their noise made white, and models fitted to them within physical bounds.
+"""The rows of a diagnosis with whitened noise, and models fitted to them within physical bounds.
 
 Only relative values of sigma matter here: every test divides by a scale estimated from the residuals, since a data
 sheet's sigma that is 1.5 times too small would make every test significant.

@@ -1,5 +1,5 @@
-"""What may be missing in the model of any arm, as normal blocks: effects, error curves, the posture's own error
-(identification/README.md, "With a prior"). The waves of a ripple of unknown order carry the error curve, too.
+"""What the model of any arm may lack, as blocks with normal priors: effects, error curves, an error of each posture
+(identification/README.md, "With a prior"). The waves for a ripple of unknown order stand for the error curve, too.
 """
 
 from collections import Counter

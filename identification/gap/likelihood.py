@@ -1,8 +1,8 @@
-"""Marginal likelihood of sets of blocks, in the space of their columns, whose products G = Z^T Z, c = Z^T y and y^T y
-are projected off the base (identification/README.md, "One posterior").
+"""Marginal likelihood of sets of blocks. It needs only the products G = Z^T Z, c = Z^T y and y^T y of their columns,
+projected off the base (identification/README.md, "One posterior").
 
-What a set leaves of all columns is V = Z^T (I + Z_A D^2 Z_A^T)^-1 Z. Of a set that differs from another by a few blocks
-it differs by a term of their rank (M. A. Woodbury, 1950), so that what is known of one serves all that are like it.
+What a set A leaves of all columns is V = Z^T (I + Z_A D^2 Z_A^T)^-1 Z. If two sets differ by a few blocks, their V
+differ by a term of the rank of these (M. A. Woodbury, 1950), so the result for one set serves all similar sets.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
 """Posterior over sets of blocks (identification/README.md, "One posterior"): a climb to a likely set, and a Gibbs walk
-from there, under each likely noise.
+from there, for each likely noise model.
 
-A step takes a block x, or nothing, out of a set A of k blocks and puts one back, size included, or none. The climb
-takes the likeliest, as long as that is likelier. The walk takes each out with probability 1 / (k + 1) and draws with
-odds in proportion to p(A' + x) / (|A' + x| + 1), A' = A - x: a Gibbs step of the joint distribution of A and x, so that
-A is drawn from its posterior; what is counted is not the draw but the probabilities it was drawn with
-("Rao-Blackwellization", A. E. Gelfand, A. F. M. Smith, 1990).
+A step removes one block x, or none, from a set A of k blocks, then adds one with its size, or none. The climb takes
+the likeliest step as long as it makes the set likelier. The walk removes each block, or none, with probability
+1 / (k + 1) and draws the addition with odds proportional to p(A' + x) / (|A' + x| + 1), where A' = A - x. This is a
+Gibbs step of the joint distribution of A and x, so A is drawn from its posterior. Not the draws are counted but the
+probabilities they were drawn with ("Rao-Blackwellization", A. E. Gelfand, A. F. M. Smith, 1990).
 """
 
 from __future__ import annotations

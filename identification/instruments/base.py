@@ -93,10 +93,10 @@ class Unplaced(NamedTuple):
 
 @dataclass(frozen=True)
 class Instrument:
-    """An instrument that reads a function of where the measured point is; a new one is one class.
+    """An instrument whose reading is a function of the position of the measured point; a new one is one class.
 
     Each coordinate of a reading has the same standard deviation, `sigma` of the arm. Subclasses are frozen dataclasses,
-    whose fields, numbers or tuples of them, are what is known of the instrument.
+    whose fields (numbers or tuples of them) describe the instrument.
     """
 
     kind: ClassVar[str] = ""  # the word in arm files; empty: these need none

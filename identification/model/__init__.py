@@ -133,8 +133,8 @@ class Model:
 
     @property
     def complete(self) -> bool:
-        """Whether nothing is missing: the calibration is that of a diagnosis, or has values of effects beside the place
-        of the base, as a diagnosed model has that was identified again."""
+        """Whether effects have been looked for: the calibration is that of a diagnosis, or has values of effects beside
+        the base pose, as a diagnosed model that was identified again."""
         names = {p.name for effect in self.effects if effect.name != "base_offset" for p in effect.parameters}
         return self.arm.provenance.get("source") == DIAGNOSED or not names.isdisjoint(self._calibrated)
 
