@@ -166,7 +166,7 @@ def _problems(
     """What should be put right before anything is fitted, in sentences: the first kind of mistake that there is, since
     later ones may follow from it."""
     zeros, alone = list[str](), readings.better is None or readings.better.moved_zeros
-    if alone and fit is not None and fit.status is not Status.implausible:
+    if alone and fit is not None and fit.status is not Status.implausible and not fit.outlier_rows:
         zeros = doubts.far_zeros(fit.model, fit.parameters)  # several at once, where another reading has one or two
     read = readings.better is not None and readings.explained
     sentences = [] if read else other_convention(arm, measurements, drawing)

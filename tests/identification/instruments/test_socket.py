@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from identification import Arm, Array, Identification, InputError, Measurements, diagnose, estimate, spectrum
+from identification.inspection.inspection import inspect
 from identification.instruments import Socket
 from identification.kinematics.chain import DHRow, chain_of
 from identification.model import Model
@@ -116,6 +117,17 @@ def test_nothing_is_missing_where_a_smaller_arm_fits_better(one_by_one: bool) ->
     known = (("A", "B", apart(cups, "A", "B")),) if one_by_one else ()
     found = diagnose(Arm(replace(drawing(), instrument=Socket(distances=known)), sigma=NOISE), data)
     assert found.verdict == "none"
+
+
+def test_a_row_beside_its_cup_is_named_before_the_zeros_that_a_fit_makes_of_it() -> None:
+    generator = np.random.default_rng(0)
+    bar = {"A": CUPS["A"], "B": [450.0, -150.0, 100.0]}
+    data = rows(Exponentials(generator), bar, 15, NOISE, generator)
+    postures = data.postures.copy()
+    postures[7] += 0.3 * generator.normal(size=postures.shape[1])
+    arm = Arm(replace(drawing(), instrument=Socket(distances=(("A", "B", 50.0),))), sigma=NOISE)
+    found = inspect(arm, Measurements(postures, data.positions, marker=data.marker))
+    assert [sentence[:6] for sentence in found.data["problems"]] == ["row 8:"]
 
 
 def test_a_holdout_in_cups_that_were_moved_is_told_from_another_arm() -> None:
