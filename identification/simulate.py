@@ -42,7 +42,7 @@ def simulate(
     q = np.atleast_2d(np.asarray(postures, dtype=float))
     seated = truth.chain.instrument.contact and truth.chain.instrument.own_targets
     if truth.chain.instrument.contact and not seated:
-        kind = f"kind {truth.chain.instrument.kind}: at which postures a surface is touched no plan says"
+        kind = f"kind {truth.chain.instrument.kind}: a plan does not say at which postures the surface is touched"
         raise InputError(f"instrument: found {kind}, allowed: distance, or no [instrument]")
     model, order, effects = Model(truth), np.arange(len(q), dtype=float), build_all(truth.effects, truth.chain)
     noise = truth.sigma if sigma is None else sigma

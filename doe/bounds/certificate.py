@@ -70,7 +70,7 @@ class Bound:
         """Of which it holds: `all postures`, `the list of 2,000 postures`."""
         if self.candidates is not None:
             return f"the list of {self.candidates:,} postures"
-        return "all postures, constraints or none" if self.unconstrained else "all postures"
+        return "all postures, with or without constraints" if self.unconstrained else "all postures"
 
     @property
     def words(self) -> str:

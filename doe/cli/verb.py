@@ -90,10 +90,10 @@ WholeNumbers = Annotated[list[int], whole_numbers, "M,.."]
 class JobOptions:
     """Where tasks run, where their rows go, and whether earlier rows are kept or replaced.
 
-    workers : Tasks at a time; left out: one per core, for compare one.
+    workers : Tasks at a time; left out: one per core (compare: one).
     cluster : Scheduler of a dask cluster, tcp://host:port.
-    out : Folder of the tables; left out: STUDY.results, for compare none.
-    resume : Go on with an interrupted or extended run.
+    out : Folder of the tables; left out: STUDY.results (compare: none).
+    resume : Continue an interrupted or extended run.
     """
 
     workers: Workers | None = None

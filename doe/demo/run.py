@@ -138,7 +138,7 @@ def demo_document(demo: Demo) -> Document:
         for row in hidden["parameters"]
     ]
     truth: list[Any] = [
-        "The named effect refitted (sigma from the arm file), beside what was hidden: fits saw the measurements only. "
+        "The named effect, refitted (sigma from the arm file), beside the hidden truth: fits saw measurements only. "
         f"Without noise the last model is off by {number(hidden['model_error_mm'])} mm RMS at the fresh postures.",
         Sheet(("parameter", "value", "low 95 %", "high 95 %", "truth", "unit"), values),
     ]

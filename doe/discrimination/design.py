@@ -216,9 +216,9 @@ class Discrimination(Documented):
         if self.sees is not None and self.best_sees is not None:
             data = self.to_json()
             clear, blind = (", ".join(data[f"not_visible{which}"]) or "none" for which in ("", "_in_best_plan"))
-            parts += [f"effects it cannot see: {clear} (the best plan: {blind})", *self.sees.document().parts]
+            parts += [f"effects that it cannot show: {clear} (the best plan: {blind})", *self.sees.document().parts]
         elif len(self.design.plan) > MOST_SEEN:
-            parts.append(f"what a plan of more than {MOST_SEEN:,} runs can detect is not worked out")
+            parts.append(f"what a plan of more than {MOST_SEEN:,} runs can detect is not computed")
         return self.design.document().plus(*parts)
 
 

@@ -73,7 +73,7 @@ class NextPostures(Documented):
             notes = [f"note: the measured rows need a column payload_kg too: {arm.gravity.payload:g} in each of them"]
         cut = ", their search was cut" if self.status is not Status.local_optimum else ""
         chance = f"at most {100.0 * self.chance:.0f} %, by a linear estimate"
-        verdict = f"{len(self.plan)} postures{cut}; probability that the right candidate alone is left: {chance}"
+        verdict = f"{len(self.plan)} postures{cut}; probability that only the right candidate remains: {chance}"
         table = self.plan.sheet("Next postures", beside)
         return Document("Next postures", [verdict], [self.diagnosis.sentence, table, *notes])
 

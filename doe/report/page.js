@@ -275,9 +275,9 @@ class Steps {
     } else facts["log det M'"] = "not every parameter can be identified";
     if (this.plan.joints.every(name => name.endsWith("[deg]"))) facts["joint travel"] = `${this.travel(kept).toFixed(1)} deg`;
     const near = kept.filter(run => this.plan.near[run].length).length;
-    if (near) facts["runs with bodies too near"] = near;
+    if (near) facts["runs with bodies too close"] = near;
     const moves = kept.filter((run, place) => place && !this.follows(place)).length;
-    if (this.plan.scene && moves) facts["moves that are new, not looked at"] = moves;
+    if (this.plan.scene && moves) facts["new moves, not checked"] = moves;
     const text = JSON.stringify(facts);
     if (text === this.summarized) return; // or it would be read aloud again
     this.summarized = text;

@@ -40,7 +40,7 @@ def plan_section(
             line.replace("each other:", "each other; step to a run to see which.") for line in near if line[0] != " "
         ]
         return Section(title, [PlanSteps(lambda: [f"{lead} {STEPS}".strip(), *short], steps)])
-    sentence = f"{lead} {len(postures)} runs, too many or weighted: drawn only.".strip()
+    sentence = f"{lead} {len(postures)} runs, too many to step through or weighted: only drawn.".strip()
     return Section(title, [Pictures(lambda: [sentence, *near, plan_figure(arm, postures)])])
 
 

@@ -164,7 +164,7 @@ def _drawn_chain(file: Any, urdf: Urdf | None) -> KinematicChain:
     if (table := file.instrument) is None:
         sigma, turn = file.measurement.sigma_mm, file.measurement.sigma_deg
         if turn is not None and sigma is None:
-            unused = "orientations are not used; what a degree weighs against a millimetre is not known"
+            unused = "orientations are not used, since their weight relative to positions is not known"
             warnings.warn(f"measurement.sigma_deg: found without sigma_mm: {unused}", UserWarning, stacklevel=2)
         # residuals of orientations weigh as much as those of positions
         return replace(chain, instrument=Tracker(turn and sigma and sigma / turn))

@@ -104,7 +104,7 @@ def load_measurements(path: PathLike, links: int | Arm | None = None) -> Measure
     labels = filter(None, ("session", instrument.target, marked))
     table.warn_unused(["run", "sigma_mm", *NUMBERS, *directions, *labels], hint)
     if instrument.contact and "run" in table and "order" not in table:
-        planned = "has the column run and no order, as a plan does; contacts are joints as they were read"
+        planned = "has the column run and no order, like a plan; give the joints as read at each contact"
         warnings.warn(f"{table.path}: {planned}", UserWarning, stacklevel=2)
     return measurements
 

@@ -137,7 +137,7 @@ class Socket(AtTargets):
         else:
             pairs = ", ".join(f"{self.at[a][0]} to {self.at[b][0]}" for a, b, _ in self._pairs)
             allowed = "allowed: distances that can all be true"
-            raise InputError(f"instrument.distances_mm: no cups are as far apart as {pairs}, {allowed}")
+            raise InputError(f"instrument.distances_mm: no cups have all of the distances {pairs}, {allowed}")
         if not k:
             return cups.ravel(), {}
         from scipy.linalg import qr  # only cups with distances pay for the import

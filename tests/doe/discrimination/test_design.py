@@ -128,7 +128,7 @@ def test_what_a_very_long_plan_can_detect_is_not_worked_out(monkeypatch: pytest.
     found = designed([-180, -120], [180, 120], 20, starts=1, seconds=0.1)
     assert found.sees is None
     assert found.best_sees is None
-    assert found.document().parts[-1] == "what a plan of more than 19 runs can detect is not worked out"
+    assert found.document().parts[-1] == "what a plan of more than 19 runs can detect is not computed"
 
 
 def test_ctrl_c_in_the_second_search_gives_the_plan_so_far() -> None:

@@ -96,7 +96,7 @@ def test_chosen_postures_beat_random_ones() -> None:
     # named from half on
     sides = np.where(np.random.default_rng(4).random(best.plan.postures.shape) < 0.5, -1.0, 1.0)
     document = replace(best, directions=sides).document()
-    assert document.verdict[0].endswith(f"left: at most {100.0 * best.chance:.0f} %, by a linear estimate")
+    assert document.verdict[0].endswith(f"remains: at most {100.0 * best.chance:.0f} %, by a linear estimate")
     (table,) = (part for part in document.parts if isinstance(part, Sheet))
     for run, (row, angles, signs) in enumerate(zip(table.rows, best.plan.displayed, sides, strict=True), start=1):
         assert [float(cell) for cell in row[:-1]] == pytest.approx([run, *angles], abs=5.1e-4)

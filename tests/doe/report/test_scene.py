@@ -206,7 +206,7 @@ def test_a_cell_is_stepped_through_with_keys(opened: Any, address: str) -> None:
     canvas.focus()
     keys.press("End")
     assert "upper arm and table overlap by" in where.inner_text()
-    assert seen.facts()["runs with bodies too near"] == "1"
+    assert seen.facts()["runs with bodies too close"] == "1"
     near = picture(seen)
     assert reddish(near) > reddish(first) + 0.003
     keys.press("Home")
@@ -311,7 +311,7 @@ def test_way_points_are_passed_and_stay_with_their_move(opened: Any, tmp_path: P
             seen.page.get_by_role("button", name="Download").click()
         download.value.save_as(tmp_path / f"{len(saved)}.csv")
         saved.append(Plan.load(tmp_path / f"{len(saved)}.csv", ARM.joint_types, vias=True))
-        new = seen.facts().get("moves that are new, not looked at", "0")
+        new = seen.facts().get("new moves, not checked", "0")
         assert new == ("0" if len(saved) != 2 else "2")  # 2 1 3
         seen.page.get_by_role("button", name=button).click()
     seen.close((tmp_path / "page.html").as_uri())

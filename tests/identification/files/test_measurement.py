@@ -96,7 +96,7 @@ def test_other_units_are_converted(load: Load) -> None:
             for arm in (BAR, BALL, FACE)
         ),
         # a plan has the joints that it asks for: as contacts they fit what it was made with, to rounding
-        (BALL, "run,q1_deg,q2_deg\n1,30,50\n2,-90,7\n", "has the column run and no order, as a plan does"),
+        (BALL, "run,q1_deg,q2_deg\n1,30,50\n2,-90,7\n", "has the column run and no order, like a plan; "),
     ],
 )
 def test_columns_that_mean_nothing_are_named_once(load: Load, arm: Arm | None, text: str, said: str) -> None:

@@ -193,5 +193,5 @@ def test_distances_of_cups() -> None:
     assert Socket(cups, wrong).size_is_open[0]
     assert Socket(distances=wrong).size_is_open == ("", "") == Socket(cups, right).size_is_open
     socket = Socket(tuple(on_x.items())[:3], (("A", "B", 10.0), ("B", "C", 10.0), ("A", "C", 300.0)))
-    with pytest.raises(InputError, match="distances_mm: no cups are as far apart as A to B, B to C, A to C"):
+    with pytest.raises(InputError, match="distances_mm: no cups have all of the distances A to B, B to C, A to C"):
         _ = socket.parameters
