@@ -146,7 +146,7 @@ class Validation(Documented, ReadOnly):
         model = Model(arm)
         if once := [effect.key for effect in model.effects if effect.once and own < MOST]:
             at_end = "the value at the end of the session of the identification is used in all rows"
-            again = "these rows are taken for that session from its beginning to its end"
+            again = "these rows are assumed to be that session from beginning to end"
             yield f"{', '.join(once)}: {again if refit == 'none' else at_end}"
         yield from lacking(model, measurements)
         if self.left_open:

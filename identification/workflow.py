@@ -408,7 +408,7 @@ def identify_files(
         typical, hidden = effects.prior.deviations, frozenset(effects.prior.deviations)
         share = next((size / typical[name] for name, size in fitted.prior.deviations.items() if name in typical), 1.0)
         keys["prior"] = effects.to_json() | {"share": share}
-        lines.append(effects.sentence + (f", or rather {share:g} times as large" if share != 1.0 else ""))
+        lines.append(effects.sentence + (f"; {share:g} times these sizes are likeliest" if share != 1.0 else ""))
         if not chosen and old is None:
             alone = Model(with_sessions(bare, rows))
             keys["offered"] = prior_judged(lambda: estimation.estimate(alone, rows), fitted, rows)

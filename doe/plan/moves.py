@@ -323,8 +323,8 @@ def drive(
     saved = 1.0 - after / before if before > 0.0 else 0.0
     data: dict[str, Any] = {"travel_deg": {"order": order, "before": before, "after": after, "saved": saved}}
     change = f"{abs(saved):.0%} {'more' if saved < 0.0 else 'saved'}"
-    travel = f"joint travel {before:.0f} -> {after:.0f} {problem.degrees}"
-    lines = [f"order {order}: {travel} of the joint that moves farthest ({change})"]
+    travel = f"{before:.0f} -> {after:.0f} {problem.degrees} ({change})"
+    lines = [f"order {order}: travel of the joint that moves farthest, summed over the moves: {travel}"]
     if not solid and approach == "any":
         return Drive(measured, measured, data, lines)
     moves, vias, changed = replace(whole, via=via), int(via.sum()), int(np.any(postures != given, axis=1).sum())

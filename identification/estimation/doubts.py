@@ -111,7 +111,7 @@ def far_rows(
     # of all coordinates, and beside what each row is known to scatter by
     times = np.linalg.norm(residual, axis=1) / (1.0 if data.sigma is None else data.sigma)
     times /= max(float(np.median(times[~(outlier | together)])), np.finfo(float).tiny)
-    by = "" if data.sigma is None else ", by the sigma_mm of each row,"
+    by = "" if data.sigma is None else " (relative to the sigma_mm of each row)"
     causes = (
         "a lost beam, an arm that was still moving, or an effect that the model lacks. armcal diagnose tells which; "
         "identify --without-outliers leaves such rows out",
@@ -120,7 +120,7 @@ def far_rows(
     )
     return [
         f"{rows_in_words(rows)}: up to {' and '.join(f'{x[rows].max():.4g} {unit}' for unit, x in sizes.items())} off, "
-        f"{times[rows].max():.3g} times as far{by} as the others in the median: {cause}"
+        f"{times[rows].max():.3g} times the median of the others{by}: {cause}"
         for rows, cause in zip((outlier, together), causes, strict=True)
         if rows.any()
     ]
@@ -135,7 +135,7 @@ def only_rounding(residual: Array, model: Model, measurements: Measurements) -> 
     """Residuals of the size of rounding, as of data without noise, for which standard deviations mean nothing."""
     if (left := rms_distance(residual)) > rounding(model, measurements):
         return []
-    reason = "data without noise, or contacts that are made whatever the joints do; standard deviations mean nothing"
+    reason = "data without noise, or contacts that do not depend on the joints; standard deviations mean nothing"
     return [f"the fit leaves {left:.2g} mm RMS, which is rounding: {reason}"]
 
 

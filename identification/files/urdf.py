@@ -214,7 +214,7 @@ def read_urdf(path: PathLike, text: str = "") -> Urdf:
         for tag in (tag for tag in ("child", "parent") if ends[tag] is None):
             raise InputError(f"{path}: joint {name!r} has no {tag} link, allowed: one")
         joint = UrdfJoint(name, str(element.get("type")), str(ends["parent"]), str(ends["child"]), element)
-        require(joint.child not in by_child, f"{path}: link {joint.child!r} hangs on two joints, allowed: one")
+        require(joint.child not in by_child, f"{path}: link {joint.child!r} has two parent joints, allowed: one")
         by_child[joint.child] = joint
     for what, each in named.items():
         for name, times in Counter(name for name, _ in each).items():

@@ -74,7 +74,7 @@ def test_far_rows_are_told_by_all_that_is_measured_and_by_what_each_row_scatters
     residual[:, 0], residual[2, 5] = 0.1, 4.0
     rows = Measurements(np.arange(5.0)[:, None], residual)
     own = 0.1 - 0.05 * single
-    for sigma, times in ((None, "40 times as far as"), (own, "80 times as far, by the sigma_mm of each")):
+    for sigma, times in ((None, "40 times the median of"), (own, "80 times the median of the others (relative to the")):
         (said,) = far_rows(residual, replace(rows, sigma=sigma), posed, single, np.zeros(5, dtype=bool))
         assert said.startswith(f"row 3: up to 0.1 mm and 0.2292 deg off, {times}")
 

@@ -84,7 +84,7 @@ def test_blank_lines_and_comments_stay(tmp_path: Path) -> None:
         ('lower="-2.8"', 'lower="2.9"', "'elbow': limits 2.9 to 2.8, allowed: lower < upper"),
         ('xyz="0 0 0.12"', 'xyz="0 0 nan"', "'slide': origin xyz has '0 0 nan', allowed: 3 numbers"),
         ('xyz="0 0 0.12"', 'xyz="0 0.12"', "'slide': origin xyz has '0 0.12', allowed: 3 numbers"),
-        ('<child link="hand"/>', '<child link="wrist"/>', "link 'wrist' hangs on two joints, allowed: one"),
+        ('<child link="hand"/>', '<child link="wrist"/>', "link 'wrist' has two parent joints, allowed: one"),
         ('name="roll"', 'name="lift"', "joint 'lift' is there 2 times, allowed: once"),
         ('<parent link="wrist"/>', "", "joint 'roll' has no parent link, allowed: one"),
         ('<parent link="wrist"/>', '<parent link="tool0"/>', "link 'tool0' is not below 'world', allowed: a tip"),

@@ -212,7 +212,7 @@ def test_what_happened_in_one_session_is_over_in_the_next(at: float) -> None:
     np.testing.assert_allclose(reached, data.positions, atol=1e-6)
     same = validate(arm, data, refit="none")  # the same session: half of its rows are before the jump
     assert same.model.rms > 0.1
-    assert "joint_step:2: these rows are taken for that session from its beginning to its end" in same.notes
+    assert "joint_step:2: these rows are assumed to be that session from beginning to end" in same.notes
 
 
 # -- curves with the geometry that was fitted with them ---------------------------------------------------------------
