@@ -6,6 +6,9 @@
 An effect is a class with a table of parameters and, by the names of their places, formulas of what it adds there.
 `add_effect` makes the library's own; a user's is a class under `register`. Settings of effects are numbers that are
 chosen rather than estimated, and the values that a scan tries.
+
+A contribution acts on the tip through the lever of its place, the derivative of the position with respect to what is
+added there. Levers depend on the fitted model only, so they serve all effects that might be missing.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -154,7 +157,8 @@ class Effect:
     needs: ClassVar[frozenset[str]] = frozenset()
     family: ClassVar[str] = ""  # rivals for the same physical cause, which `diagnose` may merge; its name by default
     through: ClassVar[str] = ""  # kind of effects that it modifies, by what they need; without these it does nothing
-    # in formulas `self.chosen[name]` is the number, or a CasADi symbol when all values are tried at once
+    # numbers that are chosen, not estimated. In formulas `self.chosen[name]` is the number, or a CasADi symbol when all
+    # values are tried at once
     settings: ClassVar[Mapping[str, Setting]] = MappingProxyType({})
     prior: ClassVar[float] = 1.0  # weight relative to the common effects of the library, which have 1
     alias: ClassVar[str | None] = None  # base parameters from which no measurement of the tip can distinguish it
