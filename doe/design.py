@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 from functools import cached_property
 from time import perf_counter
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,6 +12,7 @@ from doe.bounds.certificate import CERTIFIED, NUMERICAL, PROVEN, Bound, PlanOfPr
 from doe.bounds.column_generation import best_known_bound, bound_that_holds
 from doe.bounds.planar_theorem import table_1_max_residual
 from doe.plan.accuracy import ExpectedDeviations, error_at_poses, plan_jacobians
+from doe.plan.moves import Drive
 from doe.plan.spacing import places_of_free_joint
 from doe.problem.model import turns
 from doe.problem.problem import DesignProblem
@@ -159,6 +160,11 @@ class Design(PlanOfProblem):
             "starts": self.starts,
             "seconds": self.seconds,
         }
+
+    def driven(self, drive: Drive) -> Self:
+        """With the measurements as they are driven through; a plan with other postures is not what was searched for."""
+        replaced = drive.data.get("moves", {}).get("replaced", 0)
+        return replace(self, plan=drive.plan, status=Status.replaced if replaced else self.status)
 
     # -- in words --------------------------------------------------------------------------------------------------
     def document(self) -> Document:

@@ -24,6 +24,7 @@ class Status(Enum):
     local_optimum = "No single exchange improves the plan; another --seed may lead to a better one."
     time_limit = "The time budget ended; the best plan so far is returned. Raise --seconds to keep searching."
     interrupted = "Stopped by the user (Ctrl-C, SIGTERM); the best plan so far is returned."
+    replaced = "Postures without a collision-free path were replaced by the best of random ones that have one."
     scored = "Plan supplied by the user: evaluated, not optimized."
     converged = "Converged."
     almost_solved = "Stopped near a solution at reduced accuracy; check the optimality gap before relying on it."

@@ -204,7 +204,7 @@ def design_files(
         driven = drive(*planned, late)
     except KeyboardInterrupt:  # the plan is there; moves that are not proven by now are named
         driven = drive(*planned, lambda: True)
-    design = replace(design, plan=driven.plan)
+    design = design.driven(driven)
     document = design.document()
     if discriminating:
         chosen = replace(chosen, design=design)

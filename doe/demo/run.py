@@ -2,7 +2,7 @@
 for the real arm; the paper's 4-link arm, or a six-axis arm before a laser tracker. And its page and picture."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -73,7 +73,7 @@ def run_demo(
     problem, generator = DesignProblem.of(arm), np.random.default_rng(seed)
     design = solve(problem, runs, seed=seed, **effort)
     driven = drive(problem, design.plan, seed=seed)
-    design = replace(design, plan=driven.plan)
+    design = design.driven(driven)
     write("plan.csv", driven.moves.text())
     write("fresh_plan.csv", Plan(random_postures(problem, 200, generator), joint_types=arm.joint_types).text())
     progress(2, 8, "measurements")

@@ -340,7 +340,7 @@ def drive(
         (True, f"Moves: {count_of(vias, 'way-point')}, {times:.2f} times {SHORTEST}"),
         (approach != "any", f"joints approach the postures in {how}; plan and bound leave room for this at the limits"),
         (no_approach, f"no collision-free path from that side was found to {named}"),
-        (changed, f"{were}: no collision-free path led there; the status is that of the search before"),
+        (changed, f"{were}: no collision-free path led there"),
     ):
         lines += [sentence] if true else []
     return Drive(measured, moves, data, [*lines, *in_sentences(blocked)])

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from doe import DesignProblem
+from doe import DesignProblem, score
 from doe.plan.moves import MOVING, drive, one_turn, room_of, unproven, with_approach
 from doe.problem.clearance import Clearance
 from doe.problem.constraints import constraints_of
-from identification import Arm, ArmModel, Array, EffectSpec, Model, Plan
+from identification import Arm, ArmModel, Array, EffectSpec, Model, Plan, Status
 from identification.kinematics.counting import Counting
 from identification.workspace import Cell, LineOfSight, WorkspaceBox
 from tests.doe.problem.test_clearance import ball, cell_of
@@ -82,6 +82,9 @@ def test_postures_behind_a_post_are_replaced_by_the_best_that_are_not() -> None:
     assert found.data["moves"]["shortest_deg"] == pytest.approx(shortest)  # of what is measured, not of what was given
     assert len({*map(tuple, found.plan.postures)} & {*map(tuple, postures)}) == 5
     assert inside(problem, found.moves.postures)
+    best = replace(score(problem, Plan(postures)), status=Status.bound_reached)
+    assert best.driven(found).status is Status.replaced  # no longer that of the search
+    assert best.driven(drive(problem, Plan(postures[:5]))).status is Status.bound_reached
     (new,) = {*map(tuple, found.plan.postures)} - {*map(tuple, postures)}
     others = problem.feasible(drawn := np.random.default_rng(1).uniform(problem.lower, problem.upper, (300, 2)))
     drawn = drawn[others & (np.abs(drawn[:, 0]) < np.pi / 2)]
