@@ -37,6 +37,7 @@ OTHER_FRAME = "the data are not in the frame of the arm"
 SPARE = 4
 UNUSUAL = 8.0  # times the machining's sizes, from which a mistake is likelier than such an arm
 TELLS = " armcal check can tell"  # the end of sentences that ask
+OTHERS = f"other units, joints in another order or with another sign?{TELLS}"
 FEW = "too few measurements"  # the beginning of that sentence
 
 
@@ -113,8 +114,8 @@ def far_rows(
     times /= max(float(np.median(times[~(outlier | together)])), np.finfo(float).tiny)
     by = "" if data.sigma is None else " (relative to the sigma_mm of each row)"
     causes = (
-        "a lost beam, an arm that was still moving, or an effect that the model lacks. armcal diagnose tells which; "
-        "identify --without-outliers leaves such rows out",
+        "a lost beam or contact, an arm that was still moving, or an effect that the model lacks. armcal diagnose "
+        "tells which; identify --without-outliers leaves such rows out",
         "not single rows but whole postures or neighbors: an effect that the model lacks (gravity, play), or postures "
         "where the arm stood elsewhere. They stay in the fit; delete them only if you know why they are wrong",
     )
@@ -141,11 +142,14 @@ def only_rounding(residual: Array, model: Model, measurements: Measurements) -> 
 
 def flipped(model: Model, parameters: Array, identifiable: NDArray[np.bool_]) -> list[str]:
     """The correction that is the largest beside what machining can do: a link whose length changes sign or by the order
-    of the length; in space a frame, where a joint with the wrong sign is likelier."""
-    sizes = {ROTATION_ERROR: np.radians(30.0), TRANSLATION_ERROR: 0.1 * model.reach}
+    of the length; in space a frame, where a joint with the wrong sign is likelier, or all of them together, which share
+    what is one length of the arm."""
+    moved = sum(abs(x) for p, x in zip(model.parameters, parameters, strict=True) if p.kind == TRANSLATION_ERROR)
+    if moved > 0.1 * model.reach:
+        return [f"implausible: the frames of the joints come out {moved:.4g} mm in all from the drawing's; {OTHERS}"]
     lengths = np.array([model.arm.lengths[(p.joint or 1) - 1] for p in model.parameters])
     of_links = np.array([p.kind == LENGTH_ERROR for p in model.parameters])
-    others = [sizes.get(p.kind, np.inf) for p in model.parameters]
+    others = [np.radians(30.0) if p.kind == ROTATION_ERROR else np.inf for p in model.parameters]
     excess = np.abs(parameters) / np.where(of_links & identifiable, 0.5 * lengths, others)
     worst = int(np.argmax(excess))
     p, value, length = model.parameters[worst], float(parameters[worst]), lengths[worst]
@@ -155,7 +159,7 @@ def flipped(model: Model, parameters: Array, identifiable: NDArray[np.bool_]) ->
         comparison = f"link {p.joint} of {length:g} mm comes out {length + value:.4g} mm long"
         return [f"implausible: {comparison}; another arm, frame or unit?"]
     correction = f"{p.name} comes out as {value * p.to_file:.4g} {p.file_unit}"
-    return [f"implausible: {correction}; other units, joints in another order or with another sign?{TELLS}"]
+    return [f"implausible: {correction}; {OTHERS}"]
 
 
 def another_frame(model: Model, measurements: Measurements) -> list[str]:

@@ -226,9 +226,11 @@ class Problem:
 
     @cached_property
     def rounding(self) -> Array:
-        """(K,) norms of the weighted residuals that rounding errors of coordinates of this size make."""
+        """(K,) norms of the weighted residuals that rounding errors make of coordinates as large as those measured or,
+        since contacts read nothing, as the arm."""
         # 1e-14 of a coordinate, after a chain of some ten operations
-        return 1e-14 * np.sqrt(np.einsum("kmd,m->k", self.positions**2, self.weights))
+        squares = np.maximum(np.sum(self.positions**2, axis=2), self.model.reach**2)
+        return 1e-14 * np.sqrt(squares @ self.weights)
 
     @cached_property
     def prior_rows(self) -> Array:

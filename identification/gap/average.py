@@ -152,11 +152,13 @@ def as_model(posterior: Posterior, coordinates: int) -> tuple[PredictingModel, A
     for (joint, start, stop), functions in of_curves:
         at = np.concatenate([numbers_of[label] for label in functions])
         beside = conditional_covariance(covariance, at, np.setdiff1d(np.arange(len(mean)), at))
-        # the part of the geometry that was fitted together with the curve; shifts of the base along its axes
+        # the part of the geometry that was fitted together with the curve, but for what only these sessions or targets
+        # have; shifts of the base along its axes
         together = [*functions, *(beside_curves if not curves else ())]
         parts = np.sum([geometry_of[label] for label in together], axis=0).tolist()
         named = zip(library.base.names, parts, strict=True)
-        shifted = {name: value for name, value in named if not name.startswith(f"{SESSIONS}.")}
+        of_others = f"{SESSIONS}.", f"{arm.chain.instrument.own_targets}["
+        shifted = {name: value for name, value in named if not name.startswith(of_others)}
         along = arm.chain.along_base(shifted, plain.parameters.mapping(values), back=True)
         shifted |= {name: float(value) for name, value in along.items() if name in shifted}
         # the table goes through their sum at the angles measured, and as a random walk does where there are none: there

@@ -177,6 +177,7 @@ def _problems(
     if fit is not None and not sentences:
         unexplained = (np.isin(rows, numbers) for numbers in (fit.outlier_rows, fit.unexplained_rows))
         sentences = doubts.far_rows(fit.residuals_after, measurements, arm, *unexplained)
+        sentences = sentences or other_distances(arm, measurements, fit)
     if not sentences and drawing > DRAWN * arm.reach:
         sentences = [f"the drawing is {drawing:.4g} mm off at any base pose: check lengths and columns"]
     if fit is None:
@@ -241,6 +242,25 @@ def other_convention(arm: Arm, measurements: Measurements, drawing: float) -> li
         return []
     gain = f"the drawing then leaves {left:.3g} mm instead of {drawing:.4g}"
     return [f'it looks as if the [[dh]] table is of the {named} convention: {gain}; write convention = "{named}"']
+
+
+def other_distances(arm: Arm, measurements: Measurements, fit: Identification) -> list[str]:
+    """Which distances that the instrument is given are others by the rows, in a sentence; none where a fit with them is
+    near the drawing and leaves hardly more than one without them, or far from it and far less: then the arm is."""
+    released, known = fit.model.arm.chain.instrument.released()
+    if not known:
+        return []
+    free = replace(arm, chain=replace(arm.chain, instrument=released.without_targets()))
+    found = estimate(Model(with_sessions(free, measurements)), measurements)
+    held, less = (float(np.sum(np.square(each.residuals_after))) for each in (fit, found))
+    far = _asked(fit) and found.rms_after < CLEARLY * fit.rms_after
+    if not (far or doubts.worth_freeing(held, less, len(known), found.dof, doubts.FALL**2)):
+        return []
+    by_rows = {row.name: (row.corrected or 0.0, row.std or 0.0) for row in found.corrected_values}
+    # four standard deviations, as there may be many distances
+    other = {name: x for name, (x, std) in by_rows.items() if abs(x - known.get(name, x)) > 4.0 * std}
+    said = ", ".join(f"{name} {x:.4g} mm (arm file: {known[name]:g})" for name, x in other.items())
+    return [f"distances are others by these rows: {said}; was a cup moved without a new name?"] if said else []
 
 
 # -- where the arm stands, against the arm file ------------------------------------------------------------------------

@@ -146,6 +146,10 @@ class Instrument:
             value = values.get(p.name, p.neutral) * p.to_file
             yield OwnValue(p.name, p.name, value, {p.name: p.to_file}, p.file_unit, self.kind)
 
+    def released(self) -> tuple[Self, dict[str, float]]:
+        """Without what is known of its `own_values`, and that: name -> value."""
+        return self, {}
+
     def hidden(self, base: Array) -> frozenset[str]:
         """Names of parameters on which no reading depends: those that move arm and instrument together, or turn the
         frame of the instrument about what it reads;  base : (4, 4) about where that stands in the frame"""

@@ -79,7 +79,14 @@ class Socket(AtTargets):
         figures, slopes = function([values.get(p.name, p.neutral) for p in self.parameters])
         for label, value, row in zip(labels, np.array(figures).ravel().tolist(), np.array(ca.DM(slopes)), strict=True):
             by_name = {name: float(slope) for name, slope in zip(names, row, strict=True) if slope}
-            yield OwnValue(label, None, value, by_name, "mm", "center in the frame of the base, axis 1 as drawn")
+            center = "center in the frame of the base, axis 1 as drawn"
+            meaning = "distance between centers" if label.startswith("cups ") else center
+            yield OwnValue(label, None, value, by_name, "mm", meaning)
+
+    def released(self) -> tuple[Self, dict[str, float]]:
+        names = [name for name, _ in self.at]
+        known = {f"cups {names[min(a, b)]} to {names[max(a, b)]}": length for a, b, length in self._pairs}
+        return replace(self, distances=()), known
 
     @property
     def size_is_open(self) -> tuple[str, str]:

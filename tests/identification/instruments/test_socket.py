@@ -11,12 +11,13 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from identification import Arm, Array, Identification, InputError, Measurements, diagnose, estimate, spectrum
+from identification import Arm, Array, Identification, InputError, Measurements, Status, diagnose, estimate, spectrum
+from identification.estimation.problem import Problem
 from identification.inspection.inspection import inspect
 from identification.instruments import Socket
 from identification.kinematics.chain import DHRow, chain_of
 from identification.model import Model
-from identification.model.placed import of_positions, practical, with_sessions
+from identification.model.placed import of_positions, placed_model, practical, with_sessions
 from tests.identification.exponentials import HALF, SEVEN, TABLE, Exponentials, drawing, seated
 
 NOISE = 0.05  # [mm] of each coordinate of a seating
@@ -138,6 +139,48 @@ def test_a_holdout_in_cups_that_were_moved_is_told_from_another_arm() -> None:
         diagnose(Arm(replace(drawing(), instrument=Socket()), sigma=NOISE), data, holdout)
 
 
+def test_an_error_curve_leaves_each_cup_its_place() -> None:
+    """Cups of other rows are others: no curve of a joint shifts them, and an arm file takes what is written."""
+    generator = np.random.default_rng(1)
+    data = rows(Exponentials(generator), CUPS, 30, NOISE, generator)
+    read = data.postures - 2e-3 * np.clip(2.0 * data.postures, -1.0, 1.0) * (np.arange(6) == 2)
+    instrument = Socket(distances=(("A", "B", apart(CUPS, "A", "B")),))
+    found = diagnose(Arm(replace(drawing(), instrument=instrument)), replace(data, postures=read))
+    (curve,) = [spec.curve for spec in found.predicting.specs if spec.curve]
+    assert curve.geometry
+    assert not [name for name in curve.geometry if name.startswith("cup")]
+
+
+def test_distances_that_the_rows_contradict() -> None:
+    """Of two bars the one that is 30 mm off is named; where all are half as long so is the arm, which is none."""
+    generator = np.random.default_rng(2)
+    data = rows(Exponentials(generator), CUPS, 20, NOISE, generator, one_by_one=True)
+    true = (("A", "B", apart(CUPS, "A", "B")), ("C", "D", apart(CUPS, "C", "D")))
+
+    def arm(first: float, second: float) -> Arm:
+        known = tuple((*pair, times * length) for (*pair, length), times in zip(true, (first, second), strict=True))
+        return Arm(replace(drawing(), instrument=Socket(distances=known)))  # type: ignore[arg-type]
+
+    assert not inspect(arm(1.0, 1.0), data).problems
+    (said,) = inspect(arm(1.0 + 30.0 / true[0][2], 1.0), data).problems
+    assert said.startswith("distances are others by these rows: cups A to B 45")  # of which 4 deviations are 3 mm
+    assert "C to D" not in said
+    half = arm(0.5, 0.5)
+    assert estimate(Model(with_sessions(half, data)), data).status is Status.implausible
+    (said,) = inspect(half, data).problems
+    assert said.count("cups ") == 2
+
+
+def test_rounding_is_that_of_an_arm_although_nothing_is_read() -> None:
+    """Postures a turn away are the same: residuals differ by rounding, and by no more than a search allows for."""
+    generator = np.random.default_rng(3)
+    data = rows(Exponentials(generator), CUPS, 15, NOISE, generator)
+    model = placed_model(Model(with_sessions(Arm(replace(drawing(), instrument=Socket())), data)), data)
+    here, away = (Problem.of(model, replace(data, postures=data.postures + k)) for k in (0.0, 2.0 * np.pi))
+    differ = np.linalg.norm(here.residuals(here.start) - away.residuals(here.start))
+    assert 0.0 < differ < here.rounding[0] < 1e-9
+
+
 def test_a_slide_across_an_axis_tells_the_size() -> None:
     """One along all axes does not: a flat arm twice as wide lifts as high."""
     turn, slide = DHRow(300.0, 0.0, 0.0), DHRow(0.0, 0.0, 0.0, type="prismatic", limits=(0.0, 100.0))
@@ -168,7 +211,7 @@ def test_cups_keep_distances_that_are_known() -> None:
     cups = tuple((name, tuple(place)) for name, place in CUPS.items())
     every = tuple((a, b, apart(CUPS, a, b)) for a, b in combinations(CUPS, 2))
     for known in (every[:1], (every[0], every[-1]), every[:4], every):
-        socket = Socket(cups, known)  # type: ignore[arg-type]
+        socket = Socket(cups, known)
         assert len(socket.parameters) == 12 - len(known)
         values = ca.SX.sym("v", len(socket.parameters))
         places = ca.Function("places", [values], [ca.vertcat(*socket._cups(values))])
