@@ -144,9 +144,10 @@ def flipped(model: Model, parameters: Array, identifiable: NDArray[np.bool_]) ->
     """The correction that is the largest beside what machining can do: a link whose length changes sign or by the order
     of the length; in space a frame, where a joint with the wrong sign is likelier, or all of them together, which share
     what is one length of the arm."""
-    moved = sum(abs(x) for p, x in zip(model.parameters, parameters, strict=True) if p.kind == TRANSLATION_ERROR)
+    # many small errors are none: the root of the sum of their squares
+    moved = np.linalg.norm(parameters[[p.kind == TRANSLATION_ERROR for p in model.parameters]])
     if moved > 0.1 * model.reach:
-        return [f"implausible: the frames of the joints come out {moved:.4g} mm in all from the drawing's; {OTHERS}"]
+        return [f"implausible: the frames of the joints come out {moved:.4g} mm from the drawing's together; {OTHERS}"]
     lengths = np.array([model.arm.lengths[(p.joint or 1) - 1] for p in model.parameters])
     of_links = np.array([p.kind == LENGTH_ERROR for p in model.parameters])
     others = [np.radians(30.0) if p.kind == ROTATION_ERROR else np.inf for p in model.parameters]

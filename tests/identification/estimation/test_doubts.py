@@ -10,7 +10,7 @@ import pytest
 
 from identification import Arm, DHRow, EffectSpec, Measurements, Model, Status, chain_of, estimate
 from identification.arm import Machining
-from identification.estimation.doubts import FAR, another_frame, far_rows, outside_limits, payload_of_several
+from identification.estimation.doubts import FAR, another_frame, far_rows, flipped, outside_limits, payload_of_several
 from identification.instruments import Tracker
 from tests.identification.estimation.cases import LENGTHS, SIGMA, TRUTH, arm, data, plan, scipy_fit
 from tests.identification.inspection.test_inspection import points
@@ -95,6 +95,14 @@ def test_a_link_of_another_length_is_implausible() -> None:
     assert found.status is Status.implausible
     assert found.doubts == ("implausible: link 4 of 30 mm comes out 100.7 mm long; another arm, frame or unit?",)
     assert found.to_json()["status"] == "implausible"
+
+
+def test_many_frames_a_little_off_are_plausible_and_one_that_is_far_off_is_not() -> None:
+    model = Model(drawn_arm())
+    shifts = np.array([p.kind == "translation_error" for p in model.parameters])
+    for values in (shifts / np.sqrt(shifts.sum()), np.eye(len(shifts))[np.argmax(shifts)]):
+        assert not flipped(model, 0.09 * model.reach * values, shifts)
+        assert "the frames of the joints" in flipped(model, 0.11 * model.reach * values, shifts)[0]
 
 
 def test_postures_outside_the_joint_limits_are_counted() -> None:
