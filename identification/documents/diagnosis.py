@@ -317,8 +317,12 @@ def gap_parts(data: Data, nominal: float | None = None) -> list[Part]:
     gap, rows, out, unit = data["gap"], data["rows"], data["outlier_rows"], data.get("reading_unit", "mm")
     noise, below = "the noise, which is not known", ""
     if (floor := gap["noise_floor_mm"]) is not None:
-        below = f"< {number(floor)}"
-        noise = f"the noise floor {number(floor)} {unit}, from {NOISE_FROM[gap['noise_floor_from']]}"
+        source = NOISE_FROM[gap["noise_floor_from"]]
+        noise = f"the noise floor {number(floor)} {unit}, from {source}"
+        if gap["noise_floor_from"] == "close_repeats":  # in which errors are missing that change slowly
+            noise = f"the noise, which is {number(floor)} {unit} in {source} and more where errors change slowly"
+        else:
+            below = f"< {number(floor)}"
     counted = f"{rows - len(out)} of {rows}" if out else str(rows)
     shown, sentences = [["the data", counted, number(gap["rms_before_mm"]), number(gap["rms_after_mm"]), below, ""]], []
     for test in tests_of(data):

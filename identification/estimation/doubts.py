@@ -304,8 +304,9 @@ def hardly_determined(fit: Identification) -> list[str]:
     if not (few or far_off):
         return []
     # what more postures do not help against: readings that an arm twice as large would give as well
-    readings, remedy_of_size = arm.chain.size_is_open
-    open_size = f"; but however many there are, {readings} fit an arm of any size: {remedy_of_size}" if readings else ""
+    readings, remedy = arm.chain.size_is_open
+    however_many = f"; but however many there are, {readings} fit an arm of any size: {remedy}"
+    open_size = however_many if readings else f", or {remedy}" if remedy else ""
     far = f"{fit.rms_before:{'.3g' if fit.rms_before < 1000.0 else '.0f'}} mm"
     was = f"; before the fit the arm was {far} off where it was measured" if spare > 0 and more else ""
     tools = [k for k, p in enumerate(fit.model.parameters) if p.kind == TOOL]

@@ -91,7 +91,8 @@ class Socket(AtTargets):
     @property
     def size_is_open(self) -> tuple[str, str]:
         pairs = self._pairs if self.at else self.distances  # between these cups, of all that are given
-        return ("", "") if pairs else ("cups without a distance that is known", "give distances_mm between them")
+        longer = "", "give distances_mm between cups farther apart, which tell the size of the arm better"
+        return longer if pairs else ("cups without a distance that is known", "give distances_mm between them")
 
     def hidden(self, base: Array) -> frozenset[str]:
         return frozenset(error_names("base"))

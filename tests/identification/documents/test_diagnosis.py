@@ -205,6 +205,8 @@ def test_rows_that_no_fit_has_seen(
     # of N numbers a fit of p parameters leaves sqrt(1 - p / N) of the noise, sigma sqrt(2) = 0.0283 mm
     assert [table.rows[0][k] for k in (0, 1, 4)] == ["the data", "38 of 40", "< 0.0283"]
     assert ([row[-1] for row in table.rows], told) == (["", answer], sentence)
+    close = gap_parts(data | {"gap": data["gap"] | {"noise_floor_from": "close_repeats"}, "confirmation": test})
+    assert ("< 0.0283" in str(close[0]), "0.0283 mm in repeats close in time and more" in str(close)) == (False, True)
     other = test | {"file": None, "by": "cross-validation", "refitted": ["base"]}
     told = str(gap_parts(data | {"confirmation": other})[2])
     assert all(words in told for words in ("another session", "cross-validated", "for both models: base"))

