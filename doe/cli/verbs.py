@@ -473,6 +473,8 @@ def program_files(
     headings = ["", *file.headings, "after [s]"]
     rows = [[m["kind"], *(f"{q:.3f}" for q in m["joints"]), f"{m['seconds']:.0f}"] for m in made["moves"]]
     doubts = in_sentences(made["not_free"])
+    if loaded.chain.instrument.contact:
+        doubts.append("Each run ends in contact, which moves reach and leave in any direction: add way-points off it")
     if robot == "kuka" and made["name"].lower() != out.stem.lower():
         doubts.append(f"{out}: a KUKA needs a file with the name of the program: {made['name']}.src")
     if elsewhere := file.from_elsewhere:

@@ -89,6 +89,7 @@ def test_a_plan_of_contacts(cell: Folder) -> None:
     assert "outside_limits" in cell.said("check ball.toml best.csv")
     cell.write("touched.csv", "".join(line.partition(",")[2] for line in cell.read("best.csv").splitlines(True)))
     assert cell.said("check ball.toml touched.csv")["rows"] == 30  # joints at contacts without their run
+    assert "ends in contact" in cell.armcal("program ball.toml best.csv --robot ur --out best.script").out
     cell.refused("compare ball.toml --runs 30", "instrument: found kind sphere")
     cell.refused("simulate ball.toml best.csv --truth ball.toml --out m.csv", "instrument: found kind sphere")
     cell.refused("relax ball.toml --runs 30 --grid 5", "--grid: found with a list of postures")
