@@ -199,8 +199,8 @@ def _refitted(arm: Arm, measurements: Measurements, refit: str) -> tuple[list[di
     model, conditions, provenance = Model(arm), measurements.conditions, arm.provenance
     check_shape(model, measurements)
     own = measurements.share_fitted(provenance) >= MOST
-    if refit != "none" and not own and any(effect.once for effect in model.effects):
-        conditions = conditions.afterwards(len(measurements))
+    if refit != "none" and not own:
+        conditions = model.afterwards(conditions, len(measurements))
     if measurements.temperature is not None and (mean := provenance.get("mean_temperature_C")) is not None:
         conditions = replace(conditions, temperature=measurements.temperature - float(mean))
     refitted, residuals, left_open = list[dict[str, Any]](), np.empty_like(measurements.positions), 0

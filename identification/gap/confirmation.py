@@ -141,8 +141,7 @@ class Gap(NamedTuple):
 
     def to_json(self) -> dict[str, float | str | None]:
         """Keys of `gap` (identification/files/README.md, "JSON keys")."""
-        lengths = {f"{name}_mm": value for name, value in self._asdict().items() if name != "floor"}
-        return lengths | self.floor.to_json()
+        return {f"{name}_mm": value for name, value in self._asdict().items() if name != "floor"} | self.floor.to_json()
 
 
 # -- rows held out -----------------------------------------------------------------------------------------------------
@@ -162,13 +161,14 @@ class HeldOut:
 
     @classmethod
     def of(cls, rows: Measurements, data: Measurements) -> HeldOut:
-        """Of rows beside the data: order numbers that occur in both, or a pause between them that is longer than the
-        data, mean two sessions; one point of the data is the one of the rows, whatever it is called there, as in an arm
-        file."""
-        changes, transfer = dict[str, Array | None](marker=np.zeros(len(rows))), OTHER_ROWS
+        """Of rows beside the data: a name that these lack, order numbers that occur in both, or a pause between them
+        that is longer than the data, mean two sessions; one point of the data is the one of the rows, whatever it is
+        called there, as in an arm file."""
+        another, rows = {*rows.sessions} - {*data.sessions}, rows.of_sessions(data)
+        changes, transfer = dict[str, Array | None](marker=np.zeros(len(rows))), SESSION if another else OTHER_ROWS
         if data.temperature is not None and rows.temperature is not None:
             changes["temperature"] = rows.temperature - data.reference_temperature
-        if data.order is not None and rows.order is not None:
+        if not another and data.order is not None and rows.order is not None:
             first, last, span = data.order.min(), data.order.max(), np.ptp(data.order)
             later, earlier = rows.order.min() - last, first - rows.order.max()
             if len(np.intersect1d(data.order, rows.order)) or max(later, earlier) > span:
@@ -179,24 +179,28 @@ class HeldOut:
         if rows.marker is not None and data.marker_names:
             number = {name: k for k, name in enumerate(data.marker_names)}
             changes["marker"] = np.array([number.get(name, 0) for name in rows.marker.tolist()], dtype=float)
-        renamed = not {*rows.marker_names} <= {*data.marker_names}
-        elsewhere = renamed or transfer in (SESSION, OTHER_ROWS)
+        elsewhere = transfer in (SESSION, OTHER_ROWS) or not {*rows.marker_names} <= {*data.marker_names}
         return cls(rows, replace(rows.conditions, **changes), transfer, elsewhere)
+
+    def conditions_of(self, one: Fitted) -> Conditions:
+        """Those for a model of the data, whose session is over in rows of another one."""
+        over = self.transfer in (SESSION, OTHER_ROWS) and self.rows.session is None
+        return one.model.afterwards(self.conditions, len(self.rows)) if over else self.conditions
 
     def residuals(self, base: Fitted, model: Fitted) -> tuple[Array, Array, tuple[str, ...]]:
         """(m, d) residuals [mm] of both models, and in words what was fitted to the rows for both of them first: base
         and points, where that makes the RMS of the second fall by `FALL`; larger then by as much as these values make
         them smaller."""
-        before, after = (one.residuals(self.rows, self.conditions)[:, POINT] for one in (base, model))
-        chain, conditions = base.model.arm.chain, replace(self.conditions, marker=self.rows.conditions.marker)
+        before, after = (one.residuals(self.rows, self.conditions_of(one))[:, POINT] for one in (base, model))
+        chain, marker = base.model.arm.chain, self.rows.conditions.marker
         if not (self.elsewhere and chain.instrument.reads_positions):
             return before, after, ()
         calibrated = (
-            replace(one.model.arm, calibration=Calibration(one.model.best_known | one.by_name))
+            (one, replace(one.model.arm, calibration=Calibration(one.model.best_known | one.by_name)))
             for one in dict.fromkeys((base, model))  # often one and the same
         )
         try:
-            fits = [placed(arm, self.rows, conditions) for arm in calibrated]
+            fits = [placed(arm, self.rows, replace(self.conditions_of(one), marker=marker)) for one, arm in calibrated]
         except InputError:  # too few rows
             return before, after, ()
         again = [left[:, POINT] * np.sqrt(left.size / max(left.size - count, 1)) for _, _, left, count in fits]
@@ -208,7 +212,7 @@ class HeldOut:
     def parameter_part(self, model: PredictingModel) -> Mean:
         """Mean square distance [mm^2] due to errors of the parameters, tr(G C) with the variance 2 tr(G C G C),
         G = mean of J_i^T J_i over the rows and C the covariance."""
-        columns = model.model.jacobian(self.rows.postures, model.values, self.conditions)
+        columns = model.model.jacobian(self.rows.postures, model.values, self.conditions_of(model))
         tall = columns[:, POINT].reshape(-1, columns.shape[-1])
         product = tall.T @ tall / len(columns) @ model.covariance
         return Mean(float(np.trace(product)), 2.0 * float(np.trace(product @ product)), np.inf)

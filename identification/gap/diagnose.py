@@ -59,7 +59,6 @@ def diagnose(
     check_input(arm, measurements, holdout)
     copies, numbers = copied_rows(measurements), np.unique(measurements.originals)
     measurements = measurements.without_copies() if copies else measurements
-    holdout = None if holdout is None else holdout.of_sessions(measurements)
     one_session = determined(arm, measurements)
     arm, rows, generator = with_sessions(one_session, measurements), Rows.of(measurements), np.random.default_rng(seed)
     if not Model(arm).names:
@@ -180,7 +179,7 @@ def diagnose(
             *flipped(fitted.model, fitted.values, np.ones(len(fitted.values), dtype=bool)),
             *another_frame(Model(library.arm), measurements),
             *outside_limits(library.arm, measurements),
-            *(f"hold-out: {one}" for one in ([] if holdout is None else lacking(predicting.model, holdout))),
+            *(f"hold-out: {one}" for one in ([] if held_out is None else lacking(predicting.model, held_out.rows))),
             *copies,
         ),
         replication=tuple(replications(fitted, measurements.session_names, named.effects)),

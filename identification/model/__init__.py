@@ -131,6 +131,10 @@ class Model:
         """What the effects need of arm and data: gravity, directions, temperature, time, past."""
         return frozenset().union(*(effect.needs for effect in self.effects))
 
+    def afterwards(self, conditions: Conditions, rows: int) -> Conditions:
+        """The conditions of so many rows of a later session: what happened once (`Effect.once`) has come to its end."""
+        return conditions.afterwards(rows) if any(effect.once for effect in self.effects) else conditions
+
     @property
     def complete(self) -> bool:
         """Whether effects have been looked for: the calibration is that of a diagnosis, or has values of effects beside

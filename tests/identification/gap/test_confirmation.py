@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from identification import Arm, Measurements, Model
 from identification.documents.diagnosis import holds_in_words
+from identification.effects import EffectSpec
 from identification.estimation.uncertainty import GROUPS, Mean, groups_of, mean_of
 from identification.gap.average import geometry
 from identification.gap.blocks import hypotheses
@@ -259,6 +260,7 @@ def test_the_order_of_measurement_says_what_is_tested() -> None:
         (first, first, "another session"),  # numbers start again
         (replace(second, order=second.order + 100.0), first, "another session"),  # a long pause
         (replace(second, order=None), first, "other rows"),
+        (replace(second, session=np.full(49, "b")), first, "another session"),  # so it is called
     ):
         assert HeldOut.of(rows, data).transfer == transfer
     later = HeldOut.of(second, first).conditions
@@ -266,3 +268,18 @@ def test_the_order_of_measurement_says_what_is_tested() -> None:
     np.testing.assert_allclose(later.temperature, second.temperature - first.temperature.mean())
     apart = HeldOut.of(replace(second, order=np.arange(49.0)), first).conditions.time
     np.testing.assert_allclose(apart, np.linspace(-0.5, 0.5, 49))
+
+
+def test_what_happened_once_is_over_in_another_session() -> None:
+    """A zero that jumps in the middle of the data stays where it is then, whatever the times of other rows are."""
+    arm = Arm([200.0, 100.0], effects=(EffectSpec("joint_step", 1, {"at": 0.0, "b": 0.02}),))
+    q = np.random.default_rng(5).uniform(-3.0, 3.0, (60, 2))
+    model = Model(replace(arm, effects=(EffectSpec("joint_step", 1, {"at": 0.0}),)))
+    every = Measurements(q, Model(arm).position(q, None, Measurements(q, q).conditions), np.arange(60.0))
+    data, rows = every.rows(np.arange(0, 60, 2)), every.rows(np.arange(1, 60, 2))
+    base = fit(model, Rows.of(data))
+    later = replace(rows, positions=Model(arm).position(rows.postures, None, rows.conditions.afterwards(30)))
+    called = replace(later, session=np.full(30, "b"))
+    for held in (rows, called, replace(later, order=None)):
+        seen = HeldOut.of(held, data)
+        assert np.abs(seen.residuals(base, base)[1]).max() < 1e-6, seen.transfer
