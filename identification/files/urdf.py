@@ -23,6 +23,7 @@ from identification.kinematics.parameters import PRISMATIC, REVOLUTE
 METER = 1000.0  # [mm]
 MOVING = {"revolute": REVOLUTE, "continuous": REVOLUTE, "prismatic": PRISMATIC}
 FIXED = "fixed"
+MIMIC = "allowed: joints of their own, and stages of a telescope that move together as one prismatic joint"
 BASE_LINK, TIP = "base_link", "tip"  # of files written here
 
 
@@ -84,7 +85,7 @@ class Urdf:
             free = kind == "continuous" or MOVING.get(kind) in limited
             for wrong, sentence in (
                 (kind not in MOVING, f" of the chain is of type {kind!r}, allowed: {', '.join(MOVING)} and {FIXED}"),
-                (joint.element.find("mimic") is not None, " of the chain mimics another, allowed: joints of their own"),
+                (joint.element.find("mimic") is not None, f" of the chain mimics another, {MIMIC}"),
                 (not np.any(axis), ": axis 0 0 0, allowed: a direction"),
                 (not free and not bounded, f": limit, lower or upper is missing, allowed: both for a {kind} joint"),
             ):

@@ -4,7 +4,9 @@ import html
 import json
 import re
 import tomllib
+import warnings
 from collections.abc import Sequence
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +18,7 @@ from identification.files.bodies import collisions, mesh_file, name_beside
 from identification.files.io import PathLike
 from identification.files.measurement import column_of, posture_columns
 from identification.files.schema import ArmFile, validated_arm
-from identification.files.urdf import read_urdf
+from identification.files.urdf import MOVING, read_urdf
 from identification.instruments import KINDS, TRACKER
 from identification.kinematics.chain import KinematicChain
 from identification.kinematics.parameters import REVOLUTE
@@ -65,17 +67,23 @@ def urdf_files(path: PathLike, base: str | None = None, tip: str | None = None, 
     """
     urdf, file = read_urdf(path), Path(path).name
     base = base or urdf.root
-    chains, reason = dict[str, KinematicChain](), None  # of the ends that are possible where none is asked for
+    # the ends that are possible where none is asked for, and how many joints the others have
+    chains, refused = dict[str, KinematicChain](), list[tuple[int, str, InputError]]()
     for end in urdf.ends if tip is None else [tip]:
+        moving = 0
         try:
+            moving = sum(joint.type in MOVING for joint in urdf.joints(base, end))
             if len(chain := urdf.chain(base, end)) <= MAX_LINKS:
                 chains[end] = chain
         except InputError as error:  # of a gripper, say; another end may do
-            reason = reason or error
+            refused.append((moving, end, error))
     if not chains:
         links = "allowed: --base-link, --tip-link"
-        raise reason or InputError(f"{path}: no chain of 1 to {MAX_LINKS} joints, {links}")
+        raise refused[0][2] if refused else InputError(f"{path}: no chain of 1 to {MAX_LINKS} joints, {links}")
     tip = min(chains, key=lambda end: (ENDS.index(end) if end in ENDS else len(ENDS), -len(chains[end])))
+    most, other, why = max(refused, key=itemgetter(0), default=(0, "", None))
+    if tip not in ENDS and most > len(chains[tip]):
+        warnings.warn(f"the tip is {tip!r}, not {other!r}, which has more joints: {why}", stacklevel=2)
     chain, (masses, centers), name = chains[tip], urdf.masses(base, tip), urdf.robot.get("name")
     if file in (ARM, DATA, SCHEMA, STEPS):
         raise InputError(f"{path}: the name {file} is needed for another file, allowed: another name")

@@ -144,6 +144,10 @@ def test_ends_that_cannot_be_measured_are_not_taken(folder: Folder) -> None:
     hand.write_text(GRIPPER.replace('"tcp"', '"camera"'))
     assert 'tip_link = "left"' in urdf_files(hand)["arm.toml"]  # two joints; `right` mimics
     assert read_urdf(hand).ends == ("camera", "left", "right")
+    longer = '<link name="pen"/><joint name="up" type="continuous"><parent link="right"/><child link="pen"/></joint>'
+    hand.write_text(hand.read_text().replace("</robot>", longer + "</robot>"))
+    with pytest.warns(UserWarning, match=r"the tip is 'left', not 'pen', which has more joints: .*'other' of the"):
+        assert 'tip_link = "left"' in urdf_files(hand)["arm.toml"]
 
 
 def test_centers_of_mass_are_those_of_the_urdf_file(folder: Folder) -> None:
