@@ -56,14 +56,16 @@ def plan_figure(arm: Arm, postures: Array) -> Figure:
     first = "; bodies as in the first" if in_space and arm.cell is not None else ""
     figure.suptitle(f"{count}{', from two sides' * in_space}{first}", fontsize=9)
     joints, types, colors = axes["joints"], arm.joint_types, run_colors(len(postures))
-    for j, kind in enumerate(types):  # of sliding joints where they are between their limits
-        factor = 1.0 if kind == PRISMATIC else np.degrees(1.0)
-        joints.plot(
-            [factor * arm.lower[j], factor * arm.upper[j]], [j, j], color=LIMIT, lw=6, alpha=0.35, solid_capstyle="butt"
-        )
-        joints.scatter(factor * postures[:, j], np.full(len(postures), j), c=colors, s=26, zorder=3, lw=0)
-    joints.set(yticks=range(arm.links), yticklabels=[f"$q_{j + 1}$" for j in range(arm.links)])
-    joints.set_xlabel(" or ".join(sorted({"position [mm]" if kind == PRISMATIC else "angle [deg]" for kind in types})))
+    labels, scale = [f"$q_{j + 1}$" for j in range(arm.links)], "position [mm]" if PRISMATIC in types else "angle [deg]"
+    for j, kind in enumerate(types):
+        unit, factor = ("mm", 1.0) if kind == PRISMATIC else ("deg", np.degrees(1.0))
+        ends, at = factor * np.array([arm.lower[j], arm.upper[j]]), factor * postures[:, j]
+        if len({*types}) > 1:  # degrees and millimetres have no scale in common
+            labels[j], scale = f"{labels[j]}, {ends[0]:.5g} to {ends[1]:.5g} {unit}", "from one limit to the other [%]"
+            ends, at = (100.0 * (x - ends[0]) / (ends[1] - ends[0]) for x in (ends, at))
+        joints.plot(ends, [j, j], color=LIMIT, lw=6, alpha=0.35, solid_capstyle="butt")
+        joints.scatter(at, np.full(len(postures), j), c=colors, s=26, zorder=3, lw=0)
+    joints.set(yticks=range(arm.links), yticklabels=labels, xlabel=scale)
     joints.set_title("angles within the joint limits, light to dark in order of measurement", fontsize=9)
     joints.invert_yaxis()
     return figure

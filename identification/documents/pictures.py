@@ -74,12 +74,13 @@ def signed_figures(arm: Arm, postures: Array, pairs: Pairs, conditions: Conditio
 # -- residuals ---------------------------------------------------------------------------------------------------------
 def workspace_arrows(arm: Arm, positions: Array, pairs: Pairs) -> Figure:
     """Residual arrows (m, d) of two models, with their names, at positions (m, d), in two columns with a row for each
-    projection, on one scale: the largest arrow is an eighth of the reach."""
+    projection, on one scale: the largest arrow is an eighth of the reach, or as it is where all are at one position."""
     dimension, names = pairs[0][0].shape[1], [each.name for each in arm.chain.instrument.coordinates] or arm.chain.axes
     views, unit = [(0, 1)] if dimension < 3 else [(0, 1), (0, 2)], reading_unit(arm)  # in space from the side too
     figure = Figure(figsize=(9.0, 4.5), layout="constrained")
     grid = figure.subplots(len(views), 2, sharex=True, sharey="row", squeeze=False)
-    scale = 0.12 * arm.reach / (max(float(distances(residuals).max()) for residuals, _ in pairs) or 1.0)
+    largest = max(float(distances(residuals).max()) for residuals, _ in pairs) or 1.0
+    scale = 0.12 * arm.reach / largest if np.ptp(positions, axis=0).any() else 1.0  # of contacts all read zero
     style: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "width": 0.004}
     for column, (residuals, name), color in zip(grid.T, pairs, (BEFORE, AFTER), strict=True):
         title = f"{name}: RMS {rms_distance(residuals):.4g} {unit}{f', arrows x {scale:.0f}' if dimension > 1 else ''}"

@@ -20,11 +20,12 @@ from doe.report.figures import outlines, plan_figure, scene, side
 from doe.report.plan import plan_section, plan_steps
 from identification import Arm, Conditions, Gravity, Model, Plan, design_model
 from identification.document import Pictures
+from identification.kinematics.parameters import PRISMATIC
 from identification.workspace import Body, Cell, KeepOut, LineOfSight, WorkspaceBox
 from tests.doe.arms import problem
 from tests.doe.problem.test_spatial_constraints import ARM as CROWDED
 from tests.doe.problem.test_spatial_constraints import PILLAR, POSTURES, SIGHT, SPHERE
-from tests.doe.six_axis import SIX_AXIS
+from tests.doe.six_axis import CHAIN, SIX_AXIS
 
 AROUND = (WorkspaceBox((-500.0, 500.0), (-400.0, 600.0)), KeepOut((700.0, 0.0), 50.0))
 ARM = Arm([300.0, 200.0], sigma=0.1, constraints=(*AROUND, LineOfSight((900.0, 0.0), 0.5, (0.0, 0.0))))
@@ -190,3 +191,15 @@ def test_a_floor_without_bodies_is_drawn() -> None:
     views = [axes for axes in plan_figure(arm, POSTURES[:2]).axes if axes.name == "3d"]
     assert all(view.get_zlim()[0] <= -50.0 for view in views)
     assert scene(design_model(Model(arm)), POSTURES[:2], {})["bodies"] == []
+
+
+def test_slides_and_turning_joints_are_drawn_between_their_limits() -> None:
+    """A slide of metres beside angles of degrees: each joint on its own scale, which the label says."""
+    (first, *others), q = CHAIN.joints, np.array([[1000.0, *np.zeros(5)], [2000.0, *np.full(5, 1.5)]])
+    slide = replace(first, type=PRISMATIC, lower=1000.0, upper=3000.0)
+    arm = Arm(replace(CHAIN, joints=(slide, *others)))
+    axes = next(each for each in plan_figure(arm, q).axes if "limit" in each.get_xlabel())
+    assert axes.get_yticklabels()[0].get_text() == "$q_1$, 1000 to 3000 mm"
+    shown = np.array([dots.get_offsets()[:, 0] for dots in axes.collections])
+    np.testing.assert_allclose(shown[0], [0.0, 50.0])
+    np.testing.assert_allclose(shown[1:], 100.0 * (q[:, 1:].T + np.pi) / (2.0 * np.pi))

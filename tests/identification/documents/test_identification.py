@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.quiver import Quiver
 
 from identification import Arm, DHRow, chain_of
 from identification.compensate import Compensation
@@ -19,7 +20,7 @@ from identification.documents.identification import (
     validation_actions,
     validation_verdict,
 )
-from identification.documents.pictures import AFTER, BEFORE, dots, joint_errors, signed_figures
+from identification.documents.pictures import AFTER, BEFORE, dots, joint_errors, signed_figures, workspace_arrows
 from identification.estimation.result import CorrectedValue
 from tests.identification.estimation.cases import tip
 
@@ -160,6 +161,16 @@ def test_a_picture_of_each_joint_has_what_both_models_leave() -> None:
     slides = Arm(chain_of([DHRow(0.0, 0.0, 0.0, 0.0, "prismatic", (-1e3, 1e3)), DHRow(200.0, 0.0, 0.0)]))
     _, *figures = signed_figures(slides, q, 2 * [(np.zeros((40, 3)), "a model")], None)
     assert [figure.axes[0].get_title() for figure in figures if isinstance(figure, Figure)] == ["", ""]
+
+
+def test_errors_at_one_position_are_drawn_as_they_are() -> None:
+    """Contacts always read zero: the numbers beside the axes are those of the errors."""
+    left = np.array([[0.3, -0.4], [0.1, 0.2]])
+    axes = workspace_arrows(Arm(LENGTHS), np.zeros((2, 2)), [(left, "before"), (left / 2.0, "after")]).axes[0]
+    assert axes.get_title().endswith(", arrows x 1")
+    (arrows,) = axes.collections
+    assert isinstance(arrows, Quiver)
+    np.testing.assert_array_equal(np.column_stack([arrows.U, arrows.V]), left)
 
 
 def test_no_label_leaves_a_small_picture() -> None:
