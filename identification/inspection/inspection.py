@@ -247,9 +247,11 @@ def other_convention(arm: Arm, measurements: Measurements, drawing: float) -> li
 def other_distances(arm: Arm, measurements: Measurements, fit: Identification) -> list[str]:
     """Which distances that the instrument is given are others by the rows, in a sentence; none where a fit with them is
     near the drawing and leaves hardly more than one without them, or far from it and far less: then the arm is."""
-    released, known = fit.model.arm.chain.instrument.released()
+    instrument = fit.model.arm.chain.instrument
+    released, known = instrument.released()
     if not known:
-        return []
+        names = ", ".join(measurements.marker_names) or "none is named"
+        return [f"distances_mm are between other cups than those of the data ({names})"] * (released != instrument)
     free = replace(arm, chain=replace(arm.chain, instrument=released.without_targets()))
     found = estimate(Model(with_sessions(free, measurements)), measurements)
     held, less = (float(np.sum(np.square(each.residuals_after))) for each in (fit, found))

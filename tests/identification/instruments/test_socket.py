@@ -161,6 +161,8 @@ def test_distances_that_the_rows_contradict() -> None:
         return Arm(replace(drawing(), instrument=Socket(distances=known)))  # type: ignore[arg-type]
 
     assert not inspect(arm(1.0, 1.0), data).problems
+    unnamed = Measurements(data.postures[:20], data.positions[:20])
+    assert inspect(arm(1.0, 1.0), unnamed).problems[0].endswith("other cups than those of the data (none is named)")
     (said,) = inspect(arm(1.0 + 30.0 / true[0][2], 1.0), data).problems
     assert said.startswith("distances are others by these rows: cups A to B 45")  # of which 4 deviations are 3 mm
     assert "C to D" not in said
