@@ -175,7 +175,8 @@ class Readings:
         if self.better is None:
             return []
         ways = ", or, equally well, ".join(", and ".join(reading.words) for reading in (self.better, *self.alike))
-        gain = f"{self.better.rms:.3g} mm instead of {self.written.rms:.4g}"
+        farther = ", at postures that are farther apart" if self.better.rms > self.written.rms else ""  # as of contacts
+        gain = f"{self.better.rms:.3g} mm instead of {self.written.rms:.4g}{farther}"
         if self.explained or self.better.other_units:
             return [f"it looks as if {ways}: the drawing then leaves {gain}"]
         nothing = "no reading with a few other signs, zeros, columns or mirrored axes explains the positions"
@@ -250,9 +251,11 @@ def _of_drawing(arm: Arm, measurements: Measurements, search: bool, doubted: boo
 
     both = [each for units in in_units(as_said, turning) for each in in_units(units, sliding)]
     alone = [each for j in range(arm.links) for each in in_units(as_said, [j])[1:]]
-    # how far apart the drawing then has the positions, and they are; of contacts nothing is read
-    tips = {units: chain.tip_frames(q * units)[:, : arm.dimension, 3] for units in (*both, *alone)}
-    drawn = {units: max(_spread(points), np.finfo(float).tiny) for units, points in tips.items()}
+    # how far apart the drawing then has the positions, and they are; of contacts, which read nothing and may leave the
+    # tip where it is, the joints on average
+    which = slice(0 if chain.instrument.contact else -2, -1)  # frames, of the base first and the tip last
+    places = {units: frames_at(q * units)[:, which, : arm.dimension, 3].swapaxes(0, 1) for units in (*both, *alone)}
+    drawn = {units: max(float(np.mean([*map(_spread, each)])), np.finfo(float).tiny) for units, each in places.items()}
     spread, readings = 0.0 if chain.instrument.contact else _spread(x), []
 
     def least(read: Callable[[float], Reading], values: Array, tolerance: float) -> float:
@@ -275,7 +278,8 @@ def _of_drawing(arm: Arm, measurements: Measurements, search: bool, doubted: boo
             readings += [other.with_scale(k)] if abs(k) > two else []
     if len(readings) > 1 and max(drawn.values()) >= 1e-3 * arm.reach:
         share = {reading: placed(reading).rms / drawn[reading.units] for reading in readings}
-        best = min(share, key=share.__getitem__)
+        whole, best = (min(of, key=share.__getitem__) for of in ([r for r in share if r.units in both], share))
+        best = whole if share[whole] <= CLEARLY * share[best] else best  # the likelier mistake is that of all joints
         if CLEARLY * share[best] < share[written]:
             better = placed(best)
             explained = better.rms <= DRAWN * arm.reach

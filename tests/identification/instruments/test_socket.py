@@ -14,6 +14,7 @@ import pytest
 from identification import Arm, Array, Identification, InputError, Measurements, Status, diagnose, estimate, spectrum
 from identification.estimation.problem import Problem
 from identification.inspection.inspection import inspect
+from identification.inspection.readings import read_differently
 from identification.instruments import Socket
 from identification.kinematics.chain import DHRow, chain_of
 from identification.model import Model
@@ -93,6 +94,16 @@ def test_distances_between_unseen_cups(
     )
     assert np.sqrt(np.mean(np.square(errors))) < 2.0 * NOISE
     assert np.sum(np.square(np.ravel(errors) / np.ravel(deviations))) < 20.0
+
+
+@pytest.mark.parametrize("table", [TABLE, SEVEN])
+def test_radians_of_an_arm_that_then_hardly_moves(table: tuple[tuple[float, float, float], ...]) -> None:
+    """Read as degrees they leave any point where it is; with one joint in radians a point on its axis stays, too."""
+    arm = Arm(replace(drawing(table), instrument=Socket()), sigma=NOISE)
+    for generator in map(np.random.default_rng, range(4)):
+        data = rows(Exponentials(generator, table=table), {"A": CUPS["A"]}, 31, NOISE, generator)
+        (said,) = read_differently(arm, replace(data, postures=np.radians(data.postures)), search=False).sentences
+        assert said.startswith("it looks as if the joint angles are in radians")
 
 
 def test_without_a_distance_the_size_is_open() -> None:
