@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from identification.arm import SESSIONS, Arm
-from identification.arrays import Array, ReadOnly
+from identification.arrays import Array, ReadOnly, rows_in_words
 from identification.document import Document, Documented, in_a_sentence
 from identification.documents import identification as shown
 from identification.errors import InputError
@@ -22,6 +22,7 @@ from identification.estimation.doubts import lacking, left_out_residuals
 from identification.estimation.problem import Problem, check_shape
 from identification.estimation.uncertainty import LEVEL_95, chance_of_gain
 from identification.information import spectrum
+from identification.inspection.readings import FAR
 from identification.kinematics.chain import BASE, TOOL
 from identification.kinematics.frames import pose_table
 from identification.kinematics.parameters import JOINT_OFFSET, error_names
@@ -117,6 +118,12 @@ class Validation(Documented, ReadOnly):
             share = 100.0 * self.model.rms / self.nominal.rms
             of_drawing = f"{share:.0f} % of the RMS error of the drawing, refitted in the same way"
             yield f"the model leaves {of_drawing}, which {shown.BY_CHANCE} as far as these rows tell (p = {chance:.2g})"
+        times = np.empty_like(after)
+        for rows in measurements.session_rows:  # of which one row may move the base; [mm] less is rounding
+            times[rows] = after[rows] / max(float(np.median(after[rows])), 1e-6)
+        if (astray := times > FAR).any():
+            off = f"up to {after[astray].max():.4g} mm off, {times.max():.3g} times the median"
+            yield f"{rows_in_words(astray)}: {off}, as of a lost beam or contact: all these figures contain such rows"
         if angles := self.rms_angles:
             yield f"orientations: RMS {angles[0]:.3g} deg, by the drawing {angles[1]:.3g} deg"
         tools, names = arm.chain.tools, () if arm.chain.instrument.own_targets else measurements.marker_names

@@ -82,6 +82,15 @@ def test_a_right_model_predicts_another_set_up(effects: tuple[EffectSpec, ...]) 
     assert placed == pytest.approx([800.0, -600.0, 150.5], abs=1e-9)
 
 
+def test_a_row_beside_all_others_is_named() -> None:
+    """It moves the base that is fitted, too, and with it the RMS of a model that is right."""
+    q, off = postures(40, 0), 50.0 * (np.arange(40) == 6)[:, None]
+    found = validate(calibrated(), Measurements(q, tip(q) + off))
+    assert [note.partition(",")[0] for note in found.notes if "contact" in note] == [
+        f"row 7: up to {found.model.max:.4g} mm off"
+    ]
+
+
 def test_a_gain_within_what_the_rows_scatter_by_is_said() -> None:
     """Noise far above the errors hides what the model gains; a tenth of them does not."""
     q = postures(40, 0)
