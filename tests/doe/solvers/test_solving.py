@@ -172,7 +172,7 @@ def test_candidates_that_cannot_identify_are_no_plan() -> None:
             solve(case, 8, starts=5)
 
 
-@pytest.mark.filterwarnings("ignore:tool. the measured point is not known")
+@pytest.mark.filterwarnings("ignore:tool. the place of the measured point is not known")
 def test_a_scara_whose_height_no_posture_tells_is_asked_for_its_tool() -> None:
     table = [DHRow(325.0, 0.0, 400.0), DHRow(275.0, np.pi, 0.0), DHRow(0.0, 0.0, 20.0), DHRow(0.0, 0.0, 30.0)]
     scara = DesignProblem.of(Arm(chain_of(table), sigma=0.02))
