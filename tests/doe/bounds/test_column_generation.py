@@ -1,7 +1,6 @@
 """Column generation against closed forms, textbooks, brute force and the equivalence theorem."""
 
 from dataclasses import replace
-from itertools import combinations_with_replacement
 
 import numpy as np
 import pytest
@@ -121,18 +120,6 @@ def test_equivalence_theorem_on_every_candidate(seed: int, links: int) -> None:
     assert at_support == pytest.approx(2.0 * links, abs=1e-5)
 
 
-def test_brute_force_over_all_exact_plans() -> None:
-    """Every exact plan of 3 new runs out of 6 candidates, around 4 measured ones, is below the bound."""
-    generator = np.random.default_rng(1)
-    kept = generator.uniform(FOUR.lower, FOUR.upper, (10, 4))[:4]
-    choices = generator.uniform(FOUR.lower, FOUR.upper, (6, 4))
-    case = problem(FOUR, kept=kept)
-    design = column_generation(case, choices, runs=3)
-    values = [case.objective(choices[list(rows)]) for rows in combinations_with_replacement(range(6), 3)]
-    assert max(values) <= design.bound.value + 1e-9
-    assert design.bound.value <= max(values) + 1.0  # and the bound is not idle
-
-
 def test_sampling_first_gives_the_same_answer() -> None:
     """Of more than 80,000 candidates a random part of them is priced first; the end is judged on all of them."""
     case = problem(FOUR, ECCENTRICITY)
@@ -144,13 +131,9 @@ def test_sampling_first_gives_the_same_answer() -> None:
     assert np.square(rows).sum(axis=(1, 2)).max() <= case.parameters + 1e-7
 
 
-@pytest.mark.parametrize("name", ["A", "I", "Ds", "E"])
-def test_other_criteria_have_no_better_neighbor(name: str) -> None:
+def test_ds_has_no_better_neighbor() -> None:
     """Directional derivatives of Phi towards every candidate are <= 0, by differences of Phi itself."""
-    generator = np.random.default_rng(2)
-    base = problem(FOUR)
-    tests = base.scaled_jacobians(generator.uniform(FOUR.lower, FOUR.upper, (10, 4)))
-    criterion: Criterion = {"A": A(), "I": I(tests), "Ds": Ds((0, 1)), "E": E()}[name]
+    generator, criterion = np.random.default_rng(2), Ds((0, 1))
     case = problem(FOUR, criterion=criterion)
     candidates = grid(case, 5)
     design = column_generation(case, candidates)
@@ -163,13 +146,6 @@ def test_other_criteria_have_no_better_neighbor(name: str) -> None:
         value = float(criterion.value(0.99 * best + 0.01 * other))
         assert value <= design.bound.value + 1e-9
         assert float(criterion.value(other)) <= design.bound.value + 1e-9
-
-
-def test_not_identifiable() -> None:
-    with pytest.raises(JobError, match="identified"):
-        column_generation(problem(FOUR), np.zeros((3, 4)))
-    with pytest.raises(JobError, match="identified"):  # without a drift in time, a drift cannot be told from nothing
-        continuous_design(problem(FOUR, EffectSpec("base_rotation")))
 
 
 @pytest.mark.parametrize("criterion", [D(), A()])

@@ -28,6 +28,7 @@ LENGTHS = np.array([260.0, 180.0, 120.0, 100.0])
 def test_design_reaches_the_bound_and_writes_the_plan(folder: Folder) -> None:
     found = folder.said("design arm.toml --runs 8 --out plan8.csv")
     assert set(found) >= {*KEYS["design"].split()}
+    assert not {"moves", "travel_deg"} & set(found)
     # doe/README.md, "Planar theorem": 4 sum_(j>=2) log sin(min(Delta_j / 2, 90 deg)), Delta = 240, 160, 180 deg
     assert found["bound"]["value"] == pytest.approx(4 * np.log(np.sin(np.radians(80.0))), abs=1e-12)
     assert found["certified_optimal"] is True

@@ -142,16 +142,6 @@ def test_ctrl_c_in_the_second_search_gives_the_plan_so_far() -> None:
     assert found.relative_efficiency >= 0.95 - 1e-9
 
 
-def test_out_of_a_list_of_postures_only_those() -> None:
-    choices = np.random.default_rng(3).uniform(FOUR.lower, FOUR.upper, (60, 4))
-    found = discrimination_design(DesignProblem.of(Model(FOUR), choices=choices), FOUR, 10)
-    nearest = np.abs(found.design.plan.postures[:, None] - choices).max(axis=-1).argmin(axis=1)
-    np.testing.assert_array_equal(found.design.plan.postures, choices[nearest])
-    assert len(set(nearest.tolist())) == 10
-    lost = complex_log_det(found.best.plan.postures) - complex_log_det(found.design.plan.postures)
-    assert lost <= -8.0 * np.log(0.95) + 1e-9
-
-
 def test_the_best_of_all_plans_of_a_small_list() -> None:
     arm = Arm(LENGTHS[:3], np.radians([-180, -120, -100]), np.radians([180, 120, 60]), sigma=0.1)
     choices = np.random.default_rng(2).uniform(arm.lower, arm.upper, (10, 3))

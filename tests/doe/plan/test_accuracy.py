@@ -150,12 +150,6 @@ def tip_error(problem: DesignProblem, wide: DesignProblem, plan: Array, poses: A
     return TipErrors(problem, wide, tip_jacobians(wide, at)).of_plan(plan)
 
 
-def test_with_the_prior_it_is_criterion_i() -> None:
-    poses = workspace(PLAIN)
-    expected = -replace(WIDE, criterion=average_error(WIDE, poses)).objective(POSTURES) * 0.1**2 / len(POSTURES)
-    assert tip_error(PLAIN, WIDE, POSTURES)["effects_missing_prior"] ** 2 == pytest.approx(expected, rel=1e-9)
-
-
 def test_measured_postures_count() -> None:
     kept = [replace(case, kept=POSTURES[:3]) for case in (PLAIN, WIDE)]
     assert tip_error(*kept, POSTURES[3:]) == pytest.approx(tip_error(PLAIN, WIDE, POSTURES), rel=1e-9)

@@ -12,7 +12,7 @@ from hypothesis.extra.numpy import arrays
 
 from doe import solve
 from doe.plan.moves import Room, approaches, route, shortest_path
-from doe.plan.spacing import places_of_free_joint, separated, spread_free_joints, too_near, with_additions
+from doe.plan.spacing import separated, spread_free_joints, too_near, with_additions
 from identification import Arm, Array, Plan
 from identification.kinematics.counting import Counting, JointKinds
 from tests.doe.arms import FOUR, OFFSET, problem
@@ -59,6 +59,8 @@ def test_reading(tmp_path: Path) -> None:
         ("q1_deg,weight\n1,0.5\n2,0.4\n", ["column weight", "found a sum of 0.9", "allowed: 1 (within 1e-06)"]),
         ("q1_deg,weight\n1,0.5\n2,0.500002\n", ["column weight", "found a sum of 1.000002", "allowed: 1"]),
         ("q1_deg;weight\n1,5;0,5\n2;0,4\n", ["column weight", "found a sum of 0.9"]),
+        ("kind,q1_deg\nvia,0\n", ["column kind: found only via, allowed: at least 1 row measure"]),
+        ("kind,q1_deg\nvia,0\nmesure,0\n", ["row 2 (line 3), column kind: found 'mesure', allowed: measure or via"]),
     ],
 )
 def test_bad_input_gets_one_line(tmp_path: Path, text: str, parts: list[str]) -> None:
@@ -142,13 +144,6 @@ def test_plans_have_repeats_only_when_asked_for(solver: str) -> None:
     wide = solve(problem(NARROW, OFFSET, minimum_distance=np.radians(25.0)), 8, solver, starts=10)
     assert smallest_gap(wide.plan.postures) >= np.radians(25.0) * (1 - 1e-9)
     assert wide.value < apart.value
-
-
-def test_a_free_joint_sets_postures_apart() -> None:
-    case = problem(FOUR)
-    assert places_of_free_joint(case) == 360
-    assert places_of_free_joint(problem(NARROW, OFFSET)) == 1  # a base offset: every joint plays a part
-    assert smallest_gap(solve(case, 16).plan.postures) >= np.radians(360 / 16) * (1 - 1e-9)
 
 
 def test_a_free_joint_has_no_more_places_than_fit_at_the_minimum_distance() -> None:

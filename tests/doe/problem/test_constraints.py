@@ -34,20 +34,6 @@ def link_points(posture: np.ndarray, count: int = 400) -> list[np.ndarray]:
     return links
 
 
-def test_workspace_box() -> None:
-    margins = MADE[0].margin(POSTURES[:200])
-    for posture, margin in zip(POSTURES, margins, strict=False):
-        x, y = link_points(posture)[-1][-1]
-        np.testing.assert_allclose(margin, [x + 400, 600 - x, y, 650 - y], atol=1e-9)
-
-
-def test_keep_out_circle_sees_every_link() -> None:
-    margins = MADE[1].margin(POSTURES[:200])
-    for posture, margin in zip(POSTURES, margins, strict=False):
-        nearest = [np.linalg.norm(points - [350, 200], axis=1).min() - 60 for points in link_points(posture)]
-        np.testing.assert_allclose(margin, nearest, atol=0.65 / 2)  # points are up to 0.65 mm apart
-
-
 def beside_the_beam(links: list[np.ndarray]) -> list[float]:
     """How near each link but the last comes to the line from the tracker to the tip, by points of both."""
     beam = np.linspace(SIGHT.tracker, links[-1][-1], 200)
