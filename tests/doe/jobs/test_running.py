@@ -186,19 +186,10 @@ def test_cluster_with_a_killed_worker_and_then_a_killed_scheduler(
     assert kept["value"].to_list() == work.drawn(MANY[: len(kept) // 2])
 
 
-@pytest.mark.parametrize(
-    ("address", "said"),
-    [
-        ("tcp://127.0.0.1:1", "no scheduler with workers answers"),
-        *(
-            (address, r"found '.*', allowed: an address as tcp://host:8786")
-            for address in ("nonsense", "tcp://host", "")
-        ),
-    ],
-)
-def test_bad_address_is_one_line_at_once(address: str, said: str) -> None:
+@pytest.mark.parametrize("address", ["nonsense", "tcp://host", ""])
+def test_bad_address_is_one_line_at_once(address: str) -> None:
     pytest.importorskip("distributed")
-    with pytest.raises(InputError, match=f"--cluster.*{said}"):
+    with pytest.raises(InputError, match=f"--cluster: found '{address}', allowed: an address as tcp://host:8786"):
         cluster(address, patience=0.2).__enter__()
 
 

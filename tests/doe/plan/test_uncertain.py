@@ -91,8 +91,6 @@ def test_sensitivity_is_below_the_bound_at_the_optimum(criterion: D | None) -> N
 
 
 def test_bad_input_is_said() -> None:
-    with pytest.raises(InputError, match=r"^--robust needs the instrument's scatter"):
-        robust_problem(DesignProblem.of(Model(Arm(LENGTHS))))
     with pytest.raises(InputError, match="deviations: joint_offset:1 has 0"):
         replace(PLAIN, deviations={"joint_offset:1": 0.0})
     with pytest.raises(InputError, match="unknown name 'nothing'"):

@@ -90,8 +90,6 @@ def test_bad_input() -> None:
         solve(problem(FOUR, choices=LIST), 6, "ipopt")
     with pytest.raises(InputError, match=r"allowed: \(k, 4\)"):
         solve(problem(FOUR, choices=LIST[:, :3]), 6)
-    with pytest.raises(InputError, match="0 of 18"):
-        solve(problem(FOUR, choices=LIST + 10.0), 6)
 
 
 # -- with climbs on gradients ------------------------------------------------------------------------------------------
