@@ -1,26 +1,15 @@
 """The first command of the README: it must work for a stranger, and its page must show what it says."""
 
-from collections.abc import Iterator
-
 import numpy as np
 import pytest
 
 from identification.workflow import VERBS
-from tests.doe.cli.conftest import Folder, Outcome
+from tests.doe.cli.conftest import Folder
 from tests.identification.test_document import Texts
 
 
-@pytest.fixture(scope="module")
-def demo(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Folder, Outcome]]:
-    """A folder with a demo in d, and what the command said."""
-    with pytest.MonkeyPatch.context() as patch:
-        folder = Folder(tmp_path_factory.mktemp("demo"))
-        patch.chdir(folder.path)
-        yield folder, folder.armcal("demo --out d --json")
-
-
-def test_demo_runs_the_whole_loop(demo: tuple[Folder, Outcome]) -> None:
-    folder, done = demo
+def test_demo_runs_the_whole_loop(folder: Folder) -> None:
+    done = folder.armcal("demo --out d --json")
     assert done.code == 0, done.err
     assert done.data["directory"] == "d"
     for name in ("arm.toml", "plan.csv", "data.csv", "calibrated.toml", "extended.toml", "report.html", "overview.png"):

@@ -93,8 +93,7 @@ def test_a_plan_of_contacts(cell: Folder) -> None:
     cell.refused("compare ball.toml --runs 30", "instrument: found kind sphere")
     cell.refused("simulate ball.toml best.csv --truth ball.toml --out m.csv", "instrument: found kind sphere")
     cell.refused("relax ball.toml --runs 30 --grid 5", "--grid: found with a list of postures")
-    cell.write("bare.toml", SIX + 'kind = "distance"\ncenter_mm = [600.0, -200.0, 300.0]\n')
-    assert "bare.toml: no [tool]: " in cell.armcal("simulate bare.toml best.csv --truth bare.toml --out m.csv").err
+    assert "arm.toml: no [tool]: " in cell.armcal("simulate arm.toml best.csv --truth arm.toml --out m.csv").err
 
 
 # -- sockets -----------------------------------------------------------------------------------------------------------

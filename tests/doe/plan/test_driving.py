@@ -18,19 +18,6 @@ from tests.doe.problem.test_clearance import ball, cell_of
 from tests.doe.six_axis import SIX_AXIS
 
 
-# -- an arm ------------------------------------------------------------------------------------------------------------
-@pytest.fixture(scope="module")
-def arm() -> Arm:
-    sight = LineOfSight((2000.0, 300.0, 500.0), np.radians(60.0), (0.0, 0.0, 400.0))
-    box = WorkspaceBox((-1200.0, 1200.0), (-1200.0, 1200.0), (0.0, 2000.0))
-    cell = cell_of(SIX_AXIS)
-    few = [body for body in cell.bodies if body.name != "table"]  # boxes take time
-    limits = np.full(6, np.pi)
-    return replace(
-        SIX_AXIS, lower=-limits, upper=limits, cell=replace(cell, bodies=tuple(few)), constraints=(sight, box)
-    )
-
-
 def test_a_wall_may_be_left_and_reached_again() -> None:
     """Both postures are on the side of the box, 300 mm from the base, and bodies are nowhere near."""
     balls = ball("ball", 2, 200.0, 0.0, 5.0), ball("post", 0, 900.0, 0.0, 5.0)
@@ -186,9 +173,14 @@ def test_joints_are_turned_into_one_turn(effects: tuple[EffectSpec, ...], listed
     assert inside(problem, whole.moves.postures)
 
 
-def test_orders_that_are_asked_for(arm: Arm) -> None:
+def test_orders_that_are_asked_for() -> None:
     """Moves keep half of the clearance; they are sampled a hundred times finer than they were looked at."""
-    drawn = np.random.default_rng(6).uniform(arm.lower, arm.upper, (800, 6))
+    sight = LineOfSight((2000.0, 300.0, 500.0), np.radians(60.0), (0.0, 0.0, 400.0))
+    box, cell = WorkspaceBox((-1200.0, 1200.0), (-1200.0, 1200.0), (0.0, 2000.0)), cell_of(SIX_AXIS)
+    few = tuple(body for body in cell.bodies if body.name != "table")  # boxes take time
+    limits, cell = np.full(6, np.pi), replace(cell, bodies=few)
+    arm = replace(SIX_AXIS, lower=-limits, upper=limits, cell=cell, constraints=(sight, box))
+    drawn = np.random.default_rng(6).uniform(-limits, limits, (800, 6))
     drawn[:, 1] = -np.abs(drawn[:, 1])  # through the floor no way leads to the others
     for problem, some in ((DesignProblem.of(Model(arm)), drawn), (ring(), 0.3 * drawn[:, :2])):
         postures = some[problem.feasible(some)][:5]
