@@ -1,4 +1,4 @@
-"""What files may not do: run code, reach out of their folder, grow without end; markup: tests/doe/report/test_page.py."""
+"""What files may not do: run code, reach out of their folder, or grow without end; test_page.py has markup in pages."""
 
 import ast
 import os
