@@ -18,8 +18,8 @@ from identification.validate import Validation, validate
 
 ALLOWED = "arm files (.toml), plans and measurements (.csv)"
 PLACED = (
-    "Only the base pose is fitted to each set of measurements, also for the drawing; everything else stays as it is in "
-    "the file."
+    "Only where the arm and the measured points are is fitted to each set of measurements, also for the drawing; "
+    "everything else stays as it is in the file."
 )
 
 

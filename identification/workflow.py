@@ -205,7 +205,7 @@ def check_files(
 
     Look at the measurements DATA of ARM, or at the postures of a plan, before anything is fitted in earnest.
 
-    Rows, ranges against limits, units, repeats, the error of the drawing after fitting the base pose, joints that turn
+    Rows, ranges against limits, units, repeats, the error of the drawing as placed best, joints that turn
     the other way, swapped columns, other zeros, mirrored frames, and what these data can and cannot determine.
 
     The exit code is 0 even if something must be corrected first: scripts read the key `ok` of --json.
@@ -508,7 +508,7 @@ def validate_files(model: Path, data: Path, *, refit: Literal["base", "offsets",
     stays as it is; the drawing, refitted in the same way, is shown for comparison. With a column session in DATA the
     base is refitted in each session.
 
-    refit : What is fitted to DATA: the base pose, that and all joint offsets, or nothing.
+    refit : What is fitted to DATA: base pose and measured points, these and all joint offsets, or nothing.
     """
     from identification.documents.identification import validation_actions
     from identification.files.arm import load_arm

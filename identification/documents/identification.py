@@ -43,8 +43,8 @@ UNFINISHED = (
 )
 # of the drawing, by `refit` of validate: said wherever its error is, so that figures of commands can be compared
 DRAWN = {
-    "base": "after fitting the base pose",
-    "offsets": "after fitting joint offsets and the base pose",
+    "base": "placed as well as it can be",
+    "offsets": "joint offsets fitted, and placed as well as it can be",
     "none": "as it stands",
 }
 BETA = (

@@ -179,7 +179,7 @@ def _problems(
         sentences = doubts.far_rows(fit.residuals_after, measurements, arm, *unexplained)
         sentences = sentences or other_distances(arm, measurements, fit)
     if not sentences and drawing > DRAWN * arm.reach:
-        sentences = [f"the drawing is {drawing:.4g} mm off at any base pose: check lengths and columns"]
+        sentences = [f"the drawing is {drawing:.4g} mm off, placed as well as it can be: check lengths and columns"]
     if fit is None:
         return [*sentences, "too few rows for a fit of the geometry"]
     if sentences:

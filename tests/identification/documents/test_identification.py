@@ -46,7 +46,7 @@ def test_intervals_of_a_fit_that_holds_what_it_does_not_list_say_so() -> None:
 
 def test_a_fit_and_a_validation_in_a_sentence_each() -> None:
     fit = {"rms_before_mm": 3.0, "rms_after_mm": 0.25}
-    drawing = "from 1.00 mm (drawing, after fitting the base pose) to"
+    drawing = "from 1.00 mm (drawing, placed as well as it can be) to"
     assert "from 3.00 to 0.250 mm" in identification_verdict(fit)
     assert f"{drawing} 0.250 mm" in identification_verdict(fit | {"rms_drawing_mm": 1.0})
     assert f"{drawing[:10]}px" in identification_verdict(fit | {"rms_drawing_mm": 1.0, "reading_unit": "px"})
