@@ -266,7 +266,7 @@ def test_weights_and_the_plan_beside_them_are_of_as_many_runs(spatial: Folder) -
         "one.toml", 'kind = "spatial"\n[tool]\nx_mm = 10.0\n[[dh]]\na_mm = 300.0\nalpha_deg = 0.0\nd_mm = 100.0\n'
     )
     assert spatial.said("relax one.toml --grid 9")["cross_check"][-1]["space"] == "6 runs"
-    checked = spatial.armcal("relax arm.toml --candidates plan.csv --seconds 4 --json").data
+    checked = spatial.armcal("relax arm.toml --candidates plan.csv --seconds 1 --json").data
     assert checked["cross_check"][-1]["space"] == f"{checked['runs']} runs"
     assert ", 25 runs, " in spatial.armcal("relax arm.toml --candidates plan.csv --runs 25 --no-check").flat
 
