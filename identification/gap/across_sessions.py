@@ -23,8 +23,7 @@ def replications(fitted: Fitted, names: Sequence[str], labels: Sequence[str]) ->
 
     fitted : with these effects;  names : of the sessions in the order of their numbers;  labels : of the effects
     """
-    rows, model = fitted.rows, fitted.model
-    session = rows.conditions.session
+    rows, model, session = fitted.rows, fitted.model, fitted.rows.conditions.session
     if session is None or np.ptp(session) == 0.0:
         return
     jacobian, scaled = fitted.linearized[1] / model.scales, fitted.values * model.scales

@@ -152,26 +152,29 @@ class HeldOut:
     conditions : temperatures count from where those of the data do, time is on their scale if both are of one session,
         and points that the data do not have are the first
     transfer : kind of transfer that they test;  elsewhere : whether base and points may be elsewhere
+    over : whether the session of the data was over, and a drift or a step in it at its end
     """
 
     rows: Measurements
     conditions: Conditions
     transfer: str
     elsewhere: bool
+    over: bool = False
 
     @classmethod
     def of(cls, rows: Measurements, data: Measurements) -> HeldOut:
         """Of rows beside the data: a name that these lack, order numbers that occur in both, or a pause between them
-        that is longer than the data, mean two sessions; one point of the data is the one of the rows, whatever it is
-        called there, as in an arm file."""
-        another, rows = {*rows.sessions} - {*data.sessions}, rows.of_sessions(data)
+        that is longer than the data, mean two sessions; where numbers start again, drifts may, too. One point of the
+        data is the one of the rows, whatever it is called there, as in an arm file."""
+        another, rows = bool({*rows.sessions} - {*data.sessions}), rows.of_sessions(data)
         changes, transfer = dict[str, Array | None](marker=np.zeros(len(rows))), SESSION if another else OTHER_ROWS
         if data.temperature is not None and rows.temperature is not None:
             changes["temperature"] = rows.temperature - data.reference_temperature
         if not another and data.order is not None and rows.order is not None:
             first, last, span = data.order.min(), data.order.max(), np.ptp(data.order)
             later, earlier = rows.order.min() - last, first - rows.order.max()
-            if len(np.intersect1d(data.order, rows.order)) or max(later, earlier) > span:
+            another = later > span
+            if another or earlier > span or len(np.intersect1d(data.order, rows.order)):
                 transfer = SESSION
             else:
                 transfer = "a later time" if later > 0.0 else "an earlier time" if earlier > 0.0 else "other postures"
@@ -180,12 +183,11 @@ class HeldOut:
             number = {name: k for k, name in enumerate(data.marker_names)}
             changes["marker"] = np.array([number.get(name, 0) for name in rows.marker.tolist()], dtype=float)
         elsewhere = transfer in (SESSION, OTHER_ROWS) or not {*rows.marker_names} <= {*data.marker_names}
-        return cls(rows, replace(rows.conditions, **changes), transfer, elsewhere)
+        return cls(rows, replace(rows.conditions, **changes), transfer, elsewhere, another)
 
     def conditions_of(self, one: Fitted) -> Conditions:
-        """Those for a model of the data, whose session is over in rows of another one."""
-        over = self.transfer in (SESSION, OTHER_ROWS) and self.rows.session is None
-        return one.model.afterwards(self.conditions, len(self.rows)) if over else self.conditions
+        """Those for a model of the data."""
+        return one.model.afterwards(self.conditions, len(self.rows)) if self.over else self.conditions
 
     def residuals(self, base: Fitted, model: Fitted) -> tuple[Array, Array, tuple[str, ...]]:
         """(m, d) residuals [mm] of both models, and in words what was fitted to the rows for both of them first: base
@@ -228,10 +230,9 @@ class HeldOut:
             refitted = f", {' and '.join(words)} refitted to these rows" if words else ""
             target = base.model.arm.chain.instrument.own_targets
             moved = f", or a {target} that was moved (armcal validate finds it again)" if target else ""
-            look = "armcal check tells what the columns of the file look like"
             raise InputError(
                 f"holdout: median residual {missed:.3g} mm with the arm calibrated on the data{refitted}, allowed: up "
-                f"to {limit:.3g} mm; another arm or unit{moved}? {look}"
+                f"to {limit:.3g} mm; another arm or unit{moved}? armcal check tells what the columns look like"
             )
 
     def test(
@@ -294,13 +295,12 @@ def cross_validation(
         "other postures": (generator.permutation(count) * min(GROUPS, count) // count)[postures],
         "another stretch of time": by_groups[0],
     }
-    tests = []
+    tests, level = list[Confirmation](), LEVEL / len(parts)  # Bonferroni
     predicted_rows = predicted_from_others(posterior, kept, [*parts.values()], noise_factor)
     for transfer, (before, after, expected) in zip(parts, predicted_rows, strict=True):
         more = bend[kept, POINT]
         after, expected = after - more, expected + float(np.mean(distances(more) ** 2))
         predicted, sigma = Mean(expected, 0.0, np.inf), float(np.sqrt(expected / after.shape[1]))
-        level = LEVEL / len(parts)  # Bonferroni
         tests.append(confirm(before, after, predicted, sigma, by_groups, transfer, "cross-validation", level, named))
     return tuple(tests)
 

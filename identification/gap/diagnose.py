@@ -129,9 +129,8 @@ def diagnose(
     if tests[0].shrinks is False and tests[0].after_mm > tests[0].before_mm:  # by more than chance
         alone, after = True, before
         predicting, over_sigma = against_sigma(geometry(base), before)
-    confirmation = None
-    if held_out is not None:
-        confirmation = held_out.test(base, predicting, measurements, kept, something, noise_factor)
+    judged = base, predicting, measurements, kept, something, noise_factor
+    confirmation = None if held_out is None else held_out.test(*judged)
     figures = () if confirmation is None else (confirmation.before_mm, confirmation.after_mm, confirmation.predicted_mm)
 
     # what these rows show
