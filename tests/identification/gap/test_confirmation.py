@@ -280,6 +280,6 @@ def test_what_happened_once_is_over_in_another_session() -> None:
     base = fit(model, Rows.of(data))
     later = replace(rows, positions=Model(arm).position(rows.postures, None, rows.conditions.afterwards(30)))
     called = replace(later, session=np.full(30, "b"))
-    for held in (rows, called, replace(later, order=later.order + 200.0)):
+    for held in (rows, every, called, replace(later, order=later.order + 200.0)):  # of `every` numbers start again
         seen = HeldOut.of(held, data)
         assert np.abs(seen.residuals(base, base)[1]).max() < 1e-6, seen.transfer
