@@ -124,7 +124,7 @@ def test_plans_of_a_joint_that_slides() -> None:
     assert not best.bound.rigorous  # a sliding joint's positions are no trigonometric polynomial
     design = solve(SLIDING, 8, "exchange", starts=3, seed=1, bound=best.bound)
     assert not len(too_near(SLIDING, design.plan.postures))
-    assert "deg (360 deg: the range of a prismatic joint) of" in drive(SLIDING, design.plan, "given").lines[0]
+    assert "deg (360 deg: the range of a prismatic joint) (" in drive(SLIDING, design.plan, "given").lines[0]
     plans = generator.uniform(SLIDING.lower, SLIDING.upper, (100, 8, 4))
     assert max(map(SLIDING.objective, plans)) < design.value < best.bound.value
     base = 0.5 * (SLIDING.lower + SLIDING.upper)
