@@ -130,6 +130,7 @@ def test_joints_come_from_the_side_that_is_asked_for(approach: str, room: list[l
         assert found.data["moves"]["replaced"] == 0
         moves = np.diff(found.moves.postures, axis=0)[~found.moves.via[1:]]
         come = np.sign(moves) * signs
+        np.testing.assert_array_equal(found.plan.conditions["directions"], np.sign(moves))
         shown = np.stack([moves[:, 0], -(moves[:, 1] + moves[:, 0])], axis=1)
         np.testing.assert_array_equal(np.sign(shown), come)
         assert np.degrees(np.abs(shown)).min() > 0.3
