@@ -245,13 +245,13 @@ def other_convention(arm: Arm, measurements: Measurements, drawing: float) -> li
 
 
 def other_distances(arm: Arm, measurements: Measurements, fit: Identification) -> list[str]:
-    """Which distances that the instrument is given are others by the rows, in a sentence; none where a fit with them is
-    near the drawing and leaves hardly more than one without them, or far from it and far less: then the arm is."""
+    """Which of the distances given to the instrument the rows contradict, in a sentence. None: a fit with them is near
+    the drawing and leaves hardly more than one without, or is far from it and leaves far less: then the arm differs."""
     instrument = fit.model.arm.chain.instrument
     released, known = instrument.released()
     if not known:
         names = ", ".join(measurements.marker_names) or "none is named"
-        return [f"distances_mm are between other cups than those of the data ({names})"] * (released != instrument)
+        return [f"distances_mm name other cups than the data ({names})"] * (released != instrument)
     free = replace(arm, chain=replace(arm.chain, instrument=released.without_targets()))
     found = estimate(Model(with_sessions(free, measurements)), measurements)
     held, less = (float(np.sum(np.square(each.residuals_after))) for each in (fit, found))
@@ -262,7 +262,7 @@ def other_distances(arm: Arm, measurements: Measurements, fit: Identification) -
     # four standard deviations, as there may be many distances
     other = {name: x for name, (x, std) in by_rows.items() if abs(x - known.get(name, x)) > 4.0 * std}
     said = ", ".join(f"{name} {x:.4g} mm (arm file: {known[name]:g})" for name, x in other.items())
-    return [f"distances are others by these rows: {said}; was a cup moved without a new name?"] if said else []
+    return [f"these rows contradict distances_mm: {said}; was a cup moved without a new name?"] if said else []
 
 
 # -- where the arm stands, against the arm file ------------------------------------------------------------------------

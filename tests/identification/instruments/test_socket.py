@@ -173,9 +173,9 @@ def test_distances_that_the_rows_contradict() -> None:
 
     assert not inspect(arm(1.0, 1.0), data).problems
     unnamed = Measurements(data.postures[:20], data.positions[:20])
-    assert inspect(arm(1.0, 1.0), unnamed).problems[0].endswith("other cups than those of the data (none is named)")
+    assert inspect(arm(1.0, 1.0), unnamed).problems[0].endswith("other cups than the data (none is named)")
     (said,) = inspect(arm(1.0 + 30.0 / true[0][2], 1.0), data).problems
-    assert said.startswith("distances are others by these rows: cups A to B 45")  # of which 4 deviations are 3 mm
+    assert said.startswith("these rows contradict distances_mm: cups A to B 45")  # of which 4 deviations are 3 mm
     assert "C to D" not in said
     half = arm(0.5, 0.5)
     assert estimate(Model(with_sessions(half, data)), data).status is Status.implausible
