@@ -352,12 +352,14 @@ def likeliest(problem: Problem, x: Array, residual: Array, jacobian: Array) -> t
     target = residual + jacobian @ np.where(held, x - problem.prior_center, 0.0)  # all at the center of the prior
     basis = np.linalg.qr(jacobian[:, ~held])[0]
     spare = problem.equations - int(np.count_nonzero(~held))
-    target, jacobian = (a - basis @ (basis.T @ a) for a in (target, jacobian))
+    target, jacobian = (a - basis @ (basis.T @ a) for a in (target, jacobian[:, held]))
     has_sigma = problem.sigma is not None or holds
     scatter = float(np.linalg.norm(target)) / np.sqrt(max(spare, 1))  # without all that has a prior
     unit = 1.0 if has_sigma else max(scatter, 1e-12)
     if spare == 0:
         return unit, (1.0, 1.0, 1.0)
+    # as many rows as columns say the same of every width
+    jacobian, target = np.split(np.linalg.qr(np.column_stack([jacobian, target]), mode="r"), [-1], axis=1)
     # in units of sigma, or of the scatter of a fit without the parameters that have a prior
     least, largest = unit if has_sigma else unit / 1e3, unit if holds else 1e6 * unit
 
@@ -365,7 +367,8 @@ def likeliest(problem: Problem, x: Array, residual: Array, jacobian: Array) -> t
         """-2 log of the likelihood, and the noise, from a share of the rows."""
         times = np.where(machined, widths[0], 1.0) * np.where(zeros, widths[1], 1.0) * np.where(others, widths[2], 1.0)
         root, left = np.sqrt(share), max(round(share * spare), 1)
-        value, noise = likeliest_noise(root * target, root * (jacobian * times) @ factor, left, least, largest)
+        effects = root * (jacobian * times[held]) @ factor[held]
+        value, noise = likeliest_noise(root * target[:, 0], effects, left, least, largest)
         # 4, by which other sizes than those stated must be likelier: chi2 of one degree of freedom, 5 %
         return value + 4.0 * sum(width != 1.0 for width in widths), noise
 
