@@ -145,9 +145,11 @@ def flipped(model: Model, parameters: Array, identifiable: NDArray[np.bool_]) ->
     of the length; in space a frame, where a joint with the wrong sign is likelier, or all of them together, which share
     what is one length of the arm."""
     # many small errors are none: the root of the sum of their squares
-    moved = np.linalg.norm(parameters[[p.kind == TRANSLATION_ERROR for p in model.parameters]])
-    if moved > 0.1 * model.reach:
-        return [f"implausible: the frames of the joints come out {moved:.4g} mm from the drawing's together; {OTHERS}"]
+    shifts = np.where([p.kind == TRANSLATION_ERROR for p in model.parameters], parameters, 0.0)
+    if (moved := np.linalg.norm(shifts)) > 0.1 * model.reach:
+        worst = int(np.argmax(np.abs(shifts)))
+        farthest = f"most in {model.names[worst]}: {shifts[worst]:.4g} mm"
+        return [f"implausible: frames of joints come out {moved:.4g} mm from the drawing, {farthest}; {OTHERS}"]
     lengths = np.array([model.arm.lengths[(p.joint or 1) - 1] for p in model.parameters])
     of_links = np.array([p.kind == LENGTH_ERROR for p in model.parameters])
     others = [np.radians(30.0) if p.kind == ROTATION_ERROR else np.inf for p in model.parameters]

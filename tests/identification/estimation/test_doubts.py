@@ -100,9 +100,12 @@ def test_a_link_of_another_length_is_implausible() -> None:
 def test_many_frames_a_little_off_are_plausible_and_one_that_is_far_off_is_not() -> None:
     model = Model(drawn_arm())
     shifts = np.array([p.kind == "translation_error" for p in model.parameters])
-    for values in (shifts / np.sqrt(shifts.sum()), np.eye(len(shifts))[np.argmax(shifts)]):
+    first, length = int(np.argmax(shifts)), f"{0.11 * model.reach:.4g} mm"
+    for values in (shifts / np.sqrt(shifts.sum()), np.eye(len(shifts))[first]):
         assert not flipped(model, 0.09 * model.reach * values, shifts)
-        assert "the frames of the joints" in flipped(model, 0.11 * model.reach * values, shifts)[0]
+        (said,) = flipped(model, 0.11 * model.reach * values, shifts)
+        assert f"{length} from the drawing, most in " in said
+    assert f"{model.names[first]}: {length};" in said
 
 
 def test_postures_outside_the_joint_limits_are_counted() -> None:
