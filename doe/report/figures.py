@@ -66,7 +66,7 @@ def plan_figure(arm: Arm, postures: Array) -> Figure:
         joints.plot(ends, [j, j], color=LIMIT, lw=6, alpha=0.35, solid_capstyle="butt")
         joints.scatter(at, np.full(len(postures), j), c=colors, s=26, zorder=3, lw=0)
     joints.set(yticks=range(arm.links), yticklabels=labels, xlabel=scale)
-    joints.set_title("angles within the joint limits, light to dark in order of measurement", fontsize=9)
+    joints.set_title("joints within their limits, light to dark in order of measurement", fontsize=9)
     joints.invert_yaxis()
     return figure
 
