@@ -112,7 +112,8 @@ class Instrument:
     offers: ClassVar[frozenset[str]] = frozenset()  # what effects may need of it (`Effect.needs`)
     reads_positions: ClassVar[bool] = False  # a reading is the measured point's position, or with its orientation pose
     angle_scale: ClassVar[float | None] = None  # [mm/rad] a radian of a measured orientation counts as; None: of none
-    size_is_open: ClassVar[Any] = ("", "")  # what reads so of an arm twice as large, and what to do about it
+    # what reads so of an arm twice as large, "": nothing does; and what would tell the size better
+    size_is_open: ClassVar[Any] = ("", "")
 
     # -- what a row reads ------------------------------------------------------------------------------------------
     def reading(self, point: ca.SX, values: ca.SX, target: ca.SX) -> ca.SX:

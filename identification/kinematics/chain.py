@@ -175,8 +175,8 @@ class KinematicChain(ByValue):
 
     @property
     def size_is_open(self) -> tuple[str, str]:
-        """What is read so of an arm twice as large, and what to do about it (`Instrument`); nothing where a joint that
-        slides across an axis that turns tells the size, as a length that is read."""
+        """What is read so of an arm twice as large, and what would tell its size better (`Instrument`); nothing where a
+        joint that slides across an axis that turns tells the size, as a length that is read."""
         frame, slides, turns = np.eye(3), list[Array](), list[Array]()
         for joint in self.joints:
             frame = frame @ joint.origin[:3, :3]

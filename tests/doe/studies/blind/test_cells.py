@@ -223,6 +223,15 @@ def test_every_hidden_effect_is_one_of_the_library() -> None:
         assert {p.name for effect in effects for p in effect.parameters} >= set(data.values)
 
 
+def test_true_values_have_the_names_of_the_library() -> None:
+    """Axes by their letters, joints by their numbers; what is no amplitude, as when a step happens, is a setting."""
+    step = {"x": 0.1, "y": -0.3, "at": 0.2}
+    assert cells.numbered({"v": np.array([1.0, 2.0, 3.0])}) == {"vx": 1.0, "vy": 2.0, "vz": 3.0}
+    assert cells.numbered({"c": np.array([4.0, 5.0])}) == {"c1": 4.0, "c2": 5.0}
+    assert cells.numbered(step) == {"x": 0.1, "y": -0.3}
+    assert cells.settings("base_step", step) == {"at": 0.2, "side": 1.0}
+
+
 @pytest.mark.parametrize(
     ("number", "names"), [(900, SPACE_OUTSIDE), (901, SPACE_OUTSIDE), (1, ("cross_talk",)), (1, ("warm_offset",))]
 )
