@@ -116,11 +116,13 @@ class ArmModel(Model):
                 raise InputError.unknown(f"{column}: unknown name", name, points)
         return postures[[place for place, _ in runs]], np.reshape([*runs.values()], (len(runs), -1))
 
-    def symbolic_measured(self, q: ca.SX) -> tuple[list[ca.SX], ca.SX]:
-        """All measured points (space,) [mm] at a posture (n,), in the frame of the base, and the tip's axes (3, 3)."""
-        chain, (*_, tip, _) = self.arm.chain, self.arm.chain.in_base(q, self.geometry)
-        frames = (chain.measured(tip, self.geometry, ca.SX(k)) for k in range(self.points_read))
-        return [frame.point(ca.SX(3, 1))[: self.space] for frame in frames], tip.axes
+    def symbolic_points(self, q: ca.SX) -> tuple[list[ca.SX], list[ca.SX], ca.SX]:
+        """Base and joints, and all measured points (space,) [mm] at a posture (n,), in the frame of the base, and the
+        tip's axes (3, 3)."""
+        chain, (*frames, tip, _) = self.arm.chain, self.arm.chain.in_base(q, self.geometry)
+        measured = [chain.measured(tip, self.geometry, ca.SX(k)).point(ca.SX(3, 1)) for k in range(self.points_read)]
+        joints = [frame.origin for frame in frames[chain.first_point :]]
+        return [each[: self.space] for each in joints], [each[: self.space] for each in measured], tip.axes
 
     @property
     def other_points(self) -> Array:

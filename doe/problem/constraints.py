@@ -120,7 +120,8 @@ def constraints_of(model: Any) -> tuple[Constraint, ...]:
     if sights and offers(model, "placed"):
         model = model.placed()  # what is to be seen is where plans assume it, if the arm does not say
     for limit in getattr(model, "constraints", ()):
-        offered(model, "space", "constraints")
+        for member in ("space", "symbolic_points"):
+            offered(model, member, "constraints")
         build = in_view if limit.kind == "line_of_sight" else KINDS[limit.kind]
         made.append(Expression(partial(build, model, limit), len(model.joint_types), limit.kind))
     if offers(model, "cell") and model.cell.bodies:
@@ -140,15 +141,15 @@ def within_column(model: Offers, limit: Any, q: ca.SX) -> ca.SX:
 def inside_box(model: Offers, box: Any, q: ca.SX) -> ca.SX:
     """(2 d,) The tip stays between the sides, those that the arm file names."""
     sides = [box.x, box.y, box.z or (-1e6, 1e6)][: model.space]
-    tip = model.symbolic_points(q)[-1]
+    tip = model.symbolic_points(q)[1][0]
     return ca.vertcat(*(ca.vertcat(tip[k] - low, high - tip[k]) for k, (low, high) in enumerate(sides)))
 
 
 def outside_round(model: Offers, region: Any, q: ca.SX) -> ca.SX:
     """(k - 1,) Every link stays outside the circle of the plane, the sphere of space, or the cylinder with round ends:
     away from its center, or its axis."""
-    start, end = map(ca.DM, region.axis)
-    return ca.vertcat(*(_distance(start, end, *link) - region.radius for link in pairwise(model.symbolic_points(q))))
+    (start, end), (joints, (tip, *_), _) = map(ca.DM, region.axis), model.symbolic_points(q)
+    return ca.vertcat(*(_distance(start, end, *link) - region.radius for link in pairwise([*joints, tip])))
 
 
 def in_view(model: Offers, sight: Any, q: ca.SX) -> ca.SX:
@@ -157,8 +158,7 @@ def in_view(model: Offers, sight: Any, q: ca.SX) -> ca.SX:
     that carry bodies these are looked at instead (`Clearance`)."""
     if len(sight.tracker) != model.space:
         raise InputError(f"line_of_sight: a tracker in {len(sight.tracker)} dimensions, allowed: in {model.space}")
-    joints, tracker = model.symbolic_points(q)[:-1], ca.DM(sight.tracker)
-    reflectors, axes = offered(model, "symbolic_measured", "line_of_sight")(q)
+    (joints, reflectors, axes), tracker = model.symbolic_points(q), ca.DM(sight.tracker)
     axis, expressions = np.subtract(sight.toward, sight.tracker), list[ca.SX]()
     carry = {body.joint for body in model.cell.bodies} if offers(model, "cell") else set[int]()
     first = len(model.joint_types) + 1 - len(joints)  # joint that the first link moves with, 0 of an arm's foot

@@ -48,10 +48,10 @@ class Offers(Protocol):
 
     Geometry, for constraints
         constraints : of `identification.workspace`;  space : coordinates of a point, 2 or 3;  reach : [mm]
-        symbolic_points : q (n,) -> k points (space,), base, joints and tip [mm]
+        symbolic_points : q (n,) -> points (space,) of base and joints [mm], those that are measured, of which the first
+            is the tip, and the axes (3, 3) of the tip
         cell : `identification.workspace.Cell`, None: no body is known;  joint_axes : (n, 3) each in its frame
         joint_frames : (m, n) -> (m, n + 1, 4, 4) of the joints and of the measured point [mm], in that of the base
-        symbolic_measured : q (n,) -> points (space,) that are measured [mm], and the axes (3, 3) of the tip
         other_points : (k, 3) [mm] from the tip to other points that are measured at each posture, in the same frame
     What is settled before a plan is made
         placed : -> the model as plans are made for it: what it leaves open is assumed, with a warning

@@ -254,13 +254,6 @@ class Model:
         axes = chain.measured(chain.frames(q, named)[-1], named, marker).axes
         return vectorize(ca.Function("orientation", [q, marker, values], [ca.cse(axes)]))
 
-    def symbolic_points(self, q: ca.SX) -> list[ca.SX]:
-        """Points (d,) of base, joints and tip [mm] at a posture (n,) [rad], as `points` gives them."""
-        chain = self.arm.chain
-        *frames, _, measured = chain.in_base(q, self.geometry)
-        points = [*(frame.origin for frame in frames), measured.point(ca.SX(3, 1))]
-        return [point[: chain.dimension] for point in points[chain.first_point :]]
-
     @cached_property
     def geometry(self) -> dict[str, float]:
         """Best known values of `geometry_parameters`."""

@@ -12,6 +12,7 @@ from identification import PRISMATIC, Arm, Calibration, Conditions, EffectSpec, 
 from identification.arm import ErrorCurve
 from identification.effects import ArmState, base, library
 from identification.effects.base import position_and_state, widths
+from identification.for_design import design_model
 from identification.instruments import Distance, Tracker
 from identification.kinematics.chain import DHRow, chain_of
 from identification.kinematics.frames import from_angles, pose, turned
@@ -239,6 +240,7 @@ def test_points_are_the_best_known_chain_in_the_frame_of_the_base() -> None:
     np.testing.assert_array_equal(points[:, 0], 0.0)
     np.testing.assert_allclose(points[:, 1:] @ [1.0, 1.0j], np.cumsum(links, axis=1), rtol=1e-13)
     posture = ca.SX.sym("q", 3)
-    symbolic = ca.Function("points", [posture], [ca.horzcat(*model.symbolic_points(posture))])
+    joints, tips, _ = design_model(model).symbolic_points(posture)
+    symbolic = ca.Function("points", [posture], [ca.horzcat(*joints, *tips)])
     np.testing.assert_allclose(np.array(symbolic(q[0])).T, points[0], rtol=1e-13, atol=1e-12)
     assert (model.joints, model.dimension) == (3, 2)
