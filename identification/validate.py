@@ -315,10 +315,9 @@ def judged(diagnosis: Diagnosis, arm: Arm, measurements: Measurements, holdout: 
 
 
 def prior_judged(
-    geometry: Callable[[], Identification], fit: Identification, measurements: Measurements
+    geometry: Callable[[], Identification], model: Array | None, measurements: Measurements
 ) -> dict[str, Any] | None:
     """What a fit with a prior of further effects is worth beside the geometry, each posture predicted from the others;
-    None where the rows determine the one or the other not."""
-    model = left_out_residuals(fit, measurements)
+    None where the rows determine the one or the other not;  model : `left_out_residuals` of that fit"""
     alone = None if model is None else left_out_residuals(geometry(), measurements)
     return None if model is None or alone is None else beside_geometry("cross-validation", alone, model, measurements)

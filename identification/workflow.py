@@ -319,7 +319,7 @@ def identify_files(
     from identification import estimation, reuse
     from identification.arm import SESSIONS
     from identification.documents import identification as shown
-    from identification.estimation.doubts import left_out_rms
+    from identification.estimation.doubts import left_out_residuals
     from identification.estimation.problem import Prior
     from identification.estimation.repeats import with_repeats_doubted
     from identification.estimation.result import corrected_geometry
@@ -404,16 +404,18 @@ def identify_files(
 
     # beside the drawing, and beside the geometry alone
     doubts, hidden = [*fitted.warnings], frozenset[str]()  # parameters of the library's effects
+    predicted, firsts = left_out_residuals(fitted, rows), sorted({*rows.originals.tolist()})  # copies do not count
     if (effects := library(rows)) is not None:
         typical, hidden = effects.prior.deviations, frozenset(effects.prior.deviations)
         share = next((size / typical[name] for name, size in fitted.prior.deviations.items() if name in typical), 1.0)
         keys["prior"] = effects.to_json() | {"share": share}
         lines.append(effects.sentence + (f"; {share:g} times these sizes are likeliest" if share != 1.0 else ""))
         if not chosen and old is None:
-            alone = Model(with_sessions(bare, rows))
-            keys["offered"] = prior_judged(lambda: estimation.estimate(alone, rows), fitted, rows)
+            geometry = Model(with_sessions(bare, rows))
+            keys["offered"] = prior_judged(lambda: estimation.estimate(geometry, rows), predicted, rows)
             doubts += shown.hardly_better(keys)
-    result = fitted.to_json() | {"cross_validated_mm": left_out_rms(fitted, rows), "rms_drawing_mm": None}
+    crossed = None if predicted is None else rms_distance(predicted[firsts])
+    result = fitted.to_json() | {"cross_validated_mm": crossed, "rms_drawing_mm": None}
     with suppress(InputError):  # too few rows
         result["rms_drawing_mm"] = rms_distance(drawing_residuals(bare, rows))
     result |= shown.unit_key(fitted.arm) | {key: value for key, value in keys.items() if value is not None}

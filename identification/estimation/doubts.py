@@ -350,9 +350,3 @@ def left_out_residuals(fit: Identification, measurements: Measurements) -> Array
     without = rows.residual + np.einsum("mdr,mr->md", columns, pull[rows.postures])
     kept = problem.weights > 0.0
     return np.asarray((without / problem.root_weights[kept])[np.cumsum(kept)[measurements.originals] - 1])
-
-
-def left_out_rms(fit: Identification, measurements: Measurements) -> float | None:
-    """Root mean square distance [mm] of `left_out_residuals`, copies not counted; None as there."""
-    residuals = left_out_residuals(fit, measurements)
-    return None if residuals is None else rms_distance(residuals[np.unique(measurements.originals)][:, POINT])

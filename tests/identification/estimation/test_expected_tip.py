@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from identification import Arm, Measurements, Model, estimate, load_arm, load_measurements
-from identification.estimation.doubts import expected_tip, left_out_rms
+from identification.estimation.doubts import expected_tip, left_out_residuals
 from identification.estimation.problem import NO_PRIOR, Prior
+from identification.measurements import rms_distance
 from tests.identification.estimation.cases import LENGTHS, SIGMA, arm, data, plan, truth
 
 UR10 = Path(__file__).parents[2] / "data" / "ur10"
@@ -143,7 +144,7 @@ def test_each_posture_as_a_fit_without_it_predicts_it(name: str) -> None:
     1e-2 rad here, of a change of the fit of 0.1 mm."""
     rows, prior, near = ROWS[name]
     fit = estimate(MODEL, rows, prior=prior, sigma="given")
-    found = left_out_rms(fit, rows)
+    found = rms_distance(left_out_residuals(fit, rows))
     assert found == pytest.approx(refitted(rows, [[k] for k in range(len(rows))], prior), rel=near)
     assert found > fit.rms_after
 
@@ -152,11 +153,11 @@ def test_repeats_of_a_posture_are_left_out_together() -> None:
     once, twice = few_rows(6, 2), np.repeat(np.arange(6), 2)
     noise = 0.1 * np.random.default_rng(3).standard_normal((12, 2))
     rows = Measurements(once.postures[twice], once.positions[twice] + noise)
-    found = left_out_rms(estimate(MODEL, rows), rows)
+    found = rms_distance(left_out_residuals(estimate(MODEL, rows), rows))
     assert found == pytest.approx(refitted(rows, [[2 * k, 2 * k + 1] for k in range(6)]), rel=2e-3)
 
 
 def test_none_where_a_posture_alone_determines_something() -> None:
     same = few_rows(5, 7).rows(np.zeros(5, dtype=int))  # four equations for four unknowns; one posture five times
     for rows in (few_rows(2, 6), same):
-        assert left_out_rms(estimate(MODEL, rows), rows) is None
+        assert left_out_residuals(estimate(MODEL, rows), rows) is None

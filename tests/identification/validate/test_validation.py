@@ -26,6 +26,7 @@ from identification import (
 )
 from identification.arm import Arm, Calibration, EffectSpec, ErrorCurve
 from identification.compensate import compensate
+from identification.estimation.doubts import left_out_residuals
 from identification.estimation.uncertainty import chance_of_gain
 from identification.gap.library_prior import library_prior
 from identification.inspection.readings import read_differently
@@ -373,7 +374,7 @@ def test_a_prior_of_further_effects_is_judged_beside_the_geometry(compliant: boo
     data = measured(truth, random_postures(24, rng), rng)
     library = library_prior(arm, data, names=["joint_compliance", "backlash"])
     found = estimate(Model(library.arm), data, prior=library.prior)
-    offered = prior_judged(lambda: estimate(Model(arm), data), found, data)
+    offered = prior_judged(lambda: estimate(Model(arm), data), left_out_residuals(found, data), data)
     assert offered is not None
     assert (offered["by"], offered["rows"], offered["better"]) == ("cross-validation", 72, compliant)
 
