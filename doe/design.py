@@ -11,12 +11,12 @@ from numpy.typing import ArrayLike
 from doe.bounds.certificate import CERTIFIED, NUMERICAL, PROVEN, Bound, PlanOfProblem
 from doe.bounds.column_generation import best_known_bound, bound_that_holds
 from doe.bounds.planar_theorem import table_1_max_residual
-from doe.plan.accuracy import ExpectedDeviations, error_at_poses, plan_jacobians
+from doe.plan.accuracy import ExpectedDeviations, error_at_poses, indistinct
 from doe.plan.moves import Drive
 from doe.plan.spacing import places_of_free_joint
 from doe.problem.model import turns
 from doe.problem.problem import DesignProblem
-from identification import InputError, Plan, Status, spectrum
+from identification import InputError, Plan, Status
 from identification.document import Document, Sheet, count_of, in_a_sentence, number
 
 BEST_KNOWN = "best known"  # what a plan is of which no bound says that it is optimal
@@ -44,13 +44,9 @@ class Design(PlanOfProblem):
 
     @cached_property
     def not_identifiable(self) -> tuple[str, ...]:
-        """Combinations of parameters that the plan does not determine, decided by the singular values as in
-        `identify`; it never determines effects at neutral conditions. M cannot tell singular values below about 1e-7
-        of the largest from zero: `value` is then -inf although they count here."""
-        parameters = self.problem.model.parameters
-        jacobians = plan_jacobians(self.problem, self.plan.postures, self.plan.weights)
-        ones = np.ones(len(parameters))
-        return spectrum(jacobians, ones).combinations(parameters.names, ones)
+        """Combinations of parameters that the plan does not determine (`indistinct`). M cannot tell singular values
+        below about 1e-7 of the largest from zero: `value` is then -inf although they count here."""
+        return indistinct(self.problem, self.plan.postures, self.plan.weights)
 
     @cached_property
     def outside(self) -> tuple[int, ...]:

@@ -29,6 +29,7 @@ from doe.bounds.branch_and_bound import TrigonometricPolynomial, maximum, trigon
 from doe.bounds.certificate import ApproximateDesign, Bound
 from doe.bounds.planar_theorem import closed_form_bound
 from doe.bounds.weights import EXACT, optimal_weights, solve_program, sparsest
+from doe.plan.accuracy import check_distinct
 from doe.plan.ascent import PlanAscent
 from doe.problem.constraints import Derivatives
 from doe.problem.problem import (
@@ -311,6 +312,7 @@ def generate_columns(
     weights = np.full(len(jacobians), 1.0 / len(jacobians))
     equal = prior.mixture(jacobians, weights)
     if not np.isfinite(criterion.value(equal)):
+        check_distinct(problem, "approximate design")
         raise JobError(
             "approximate design: the information matrix is singular on these postures, the parameters cannot all "
             "be identified; drop an effect or allow more postures"

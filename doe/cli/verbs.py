@@ -475,6 +475,11 @@ def program_files(
     doubts = in_sentences(made["not_free"])
     if loaded.chain.instrument.contact:
         doubts.append("Each run ends in contact, which moves reach and leave in any direction: add way-points off it")
+    if robot != "ros" and "prismatic" in loaded.joint_types:
+        j = loaded.joint_types.index("prismatic") + 1
+        doubts.append(
+            f"Joint {j} slides and is axis {j} of the program: a rail that is an external axis needs --template"
+        )
     if robot == "kuka" and made["name"].lower() != out.stem.lower():
         doubts.append(f"{out}: a KUKA needs a file with the name of the program: {made['name']}.src")
     if elsewhere := file.from_elsewhere:

@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 from doe.criteria import NAMES, A, Criterion, D, Ds, DStar, E, I, information_matrix, inverses
 from doe.problem.model import NEEDS_SIGMA, offered, offers
 from doe.problem.problem import DesignProblem, connected, half_at_limits, listed_candidates, random_postures
-from identification import Array, InputError, ParameterSet, require, spectrum
+from identification import Array, InputError, JobError, ParameterSet, require, spectrum
 
 
 @dataclass(frozen=True)
@@ -109,6 +109,25 @@ def plan_jacobians(problem: DesignProblem, postures: Array, weights: Array | Non
     rows = np.zeros((-(-p // d) * d, p))
     np.fill_diagonal(rows, np.sqrt(problem.precisions))
     return np.concatenate([jacobians, problem.kept_jacobians, rows.reshape(-1, d, p)])
+
+
+def indistinct(problem: DesignProblem, postures: Array, weights: Array | None = None) -> tuple[str, ...]:
+    """Combinations of parameters that a plan (m, n) does not determine, decided by the singular values as in
+    `identify`; it never determines effects at neutral conditions."""
+    names, ones = problem.model.parameters.names, np.ones(problem.parameters)
+    return spectrum(plan_jacobians(problem, postures, weights), ones).combinations(names, ones)
+
+
+def check_distinct(problem: DesignProblem, what: str) -> None:
+    """Raises `JobError` for parameters that no posture tells apart: none of four times as many random ones as there are
+    parameters does, which stand for all, whatever lists and constraints leave of them;  what : is asked for"""
+    many = np.random.default_rng(0).uniform(problem.lower, problem.upper, (4 * problem.parameters, problem.joints))
+    if lost := problem.without_effect or indistinct(problem, many):
+        neutral = "at one payload, temperature, time and approach direction no posture distinguishes"
+        placed = any("base." in name and "tool[" in name for name in lost)  # the axes of a SCARA are parallel
+        hint = "; add [tool] or [base] to the arm file" * placed
+        sentence = f"no plan identifies all {problem.parameters} parameters; {neutral}: {'; '.join(lost)}{hint}"
+        raise JobError(f"{what}: {sentence}")
 
 
 def observability(problem: DesignProblem, postures: Array, weights: Array | None = None) -> dict[str, float]:

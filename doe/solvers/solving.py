@@ -20,6 +20,7 @@ from doe.bounds.certificate import ApproximateDesign, Bound
 from doe.bounds.column_generation import best_known_bound, bound_that_holds, continuous_design
 from doe.bounds.planar_theorem import applies, closed_form_bound, optimal_plans
 from doe.design import Design
+from doe.plan.accuracy import check_distinct, indistinct
 from doe.plan.ascent import PlanAscent
 from doe.plan.spacing import allowed_value, places_of_free_joint, separated, spread_free_joints, with_additions
 from doe.problem.problem import DesignProblem, listed_candidates, random_postures
@@ -29,7 +30,6 @@ from doe.solvers.solver import LONG_PLAN, LONG_PLAN_SECONDS, Budget, Offer, Solv
 from identification import Array, InputError, JobError, Plan, Progress, Status, additions, require
 
 AGREEMENT = 10  # independent local searches that end at the best value
-NEUTRAL = "at one payload, temperature, time and approach direction no posture distinguishes"
 
 
 # -- solvers by name ---------------------------------------------------------------------------------------------------
@@ -129,8 +129,7 @@ def solve(
     if problem.choices is not None and not isinstance(chosen, Exchange):
         raise InputError(f"solver: {chosen.name} cannot choose from a list of postures, allowed: exchange")
     check_runs(problem, runs)
-    if names := problem.without_effect:
-        raise JobError(f"design: no plan identifies all {problem.parameters} parameters; {NEUTRAL}: {'; '.join(names)}")
+    check_distinct(problem, "design")
     if begin is None or not problem.feasible(begin).any():
         random_postures(problem, 1, np.random.default_rng(seed))  # raises where the constraints exclude everything
     best, best_value, best_name, done, agreeing = None, -np.inf, chosen.name, 0, 0
@@ -190,17 +189,12 @@ def solve(
         if design.certified_optimal and status is not Status.interrupted:  # by a bound that came after the search, say
             design = replace(design, status=Status.bound_reached)
     if not np.isfinite(design.value):
-        if problem.choices is None:
-            many = np.random.default_rng(0).uniform(problem.lower, problem.upper, (4 * p, problem.joints))
-        else:
-            many = listed_candidates(problem, problem.choices)
-        aliases = replace(design, plan=Plan(many)).not_identifiable
-        if aliases and problem.choices is not None and not problem.sampled:
-            raise JobError(f"design: the {len(many)} candidates cannot identify all {p} parameters, whatever the plan")
-        reason = f"design: no plan that identifies all {p} parameters was found by {design.solver}"
-        reason += f"; {NEUTRAL}: {'; '.join(aliases)}" if aliases else ""
-        placed = any("base." in alias and "tool[" in alias for alias in aliases)  # the axes of a SCARA are parallel
-        raise JobError(reason + "; add [tool] or [base] to the arm file" * placed)
+        if problem.choices is not None and not problem.sampled:
+            listed = listed_candidates(problem, problem.choices)
+            some = f"the {len(listed)} candidates cannot identify all {p} parameters, whatever the plan"
+            if indistinct(problem, listed):
+                raise JobError(f"design: {some}")
+        raise JobError(f"design: no plan that identifies all {p} parameters was found by {design.solver}")
     if not np.isfinite(best_value):
         apart = f"postures {problem.spacing} apart"
         raise JobError(f"design: no plan within the constraints and with {apart} was found by {design.solver}")

@@ -8,6 +8,7 @@ import re
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import NamedTuple
 from xml.etree import ElementTree
 
@@ -23,7 +24,7 @@ from identification.kinematics.parameters import PRISMATIC, REVOLUTE
 METER = 1000.0  # [mm]
 MOVING = {"revolute": REVOLUTE, "continuous": REVOLUTE, "prismatic": PRISMATIC}
 FIXED = "fixed"
-MIMIC = "allowed: joints of their own, and stages of a telescope that move together as one prismatic joint"
+MIMIC = "allowed: joints of their own, stages of a telescope that move together as one prismatic joint"
 BASE_LINK, TIP = "base_link", "tip"  # of files written here
 
 
@@ -83,9 +84,11 @@ class Urdf:
             axis = self.numbers(joint.element.find("axis"), f"joint {name!r}: axis", "xyz", (1.0, 0.0, 0.0))
             bounded = limit is not None and None not in (limit.get("lower"), limit.get("upper"))
             free = kind == "continuous" or MOVING.get(kind) in limited
+            without = f"or a chain without it: tip link {joint.parent!r}, or base link {joint.child!r}"
+            of_type = f"is of type {kind!r}, allowed: {', '.join(MOVING)} and {FIXED}"
             for wrong, sentence in (
-                (kind not in MOVING, f" of the chain is of type {kind!r}, allowed: {', '.join(MOVING)} and {FIXED}"),
-                (joint.element.find("mimic") is not None, f" of the chain mimics another, {MIMIC}"),
+                (kind not in MOVING, f" of the chain {of_type}, {without}"),
+                (joint.element.find("mimic") is not None, f" of the chain mimics another, {MIMIC}, {without}"),
                 (not np.any(axis), ": axis 0 0 0, allowed: a direction"),
                 (not free and not bounded, f": limit, lower or upper is missing, allowed: both for a {kind} joint"),
             ):
@@ -206,6 +209,10 @@ def read_urdf(path: PathLike, text: str = "") -> Urdf:
     text = text or read_text(path)
     root = xml_root(text, path, "a URDF file")
     require(root.tag == "robot", f"{path}: the root element is <{root.tag}>, allowed: <robot>")
+    macros = [each.tag.rpartition("}")[2] for each in root.iter() if "/xacro}" in each.tag]
+    expand = f"allowed: the URDF file that xacro makes of it (ROS: xacro {Path(path).name} > robot.urdf)"
+    for macro in macros[:1]:
+        raise InputError(f"{path}: found <xacro:{macro}>, {expand}")
     named = {what: [(str(each.get("name")), each) for each in root.findall(what)] for what in ("joint", "link")}
     require(named["link"], f"{path}: there is no <link>, allowed: at least 1")
     by_child = dict[str, UrdfJoint]()

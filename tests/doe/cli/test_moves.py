@@ -184,6 +184,17 @@ def test_from_the_command_line(folder: Folder) -> None:
     np.testing.assert_allclose([move["joints"] for move in data["moves"]], postures, rtol=0.0, atol=1e-9)
 
 
+def test_a_rail_is_said_to_be_an_axis_of_the_robot(folder: Folder) -> None:
+    kinds = "revolute", "prismatic", "revolute"
+    rows = "".join(f'[[dh]]\na_mm = 300.0\nalpha_deg = 90.0\nd_mm = 0.0\njoint = "{kind}"\n' for kind in kinds)
+    folder.write("rail.toml", f'kind = "spatial"\n{rows}[joint_limits_mm]\nlower = [0.0]\nupper = [900.0]\n')
+    folder.write("plan.csv", "run,q1_deg,q2_mm,q3_deg\n1,5,800,9\n")
+    said = "Joint 2 slides and is axis 2 of the program: a rail that is an external axis needs --template"
+    for robot in ("abb", "kuka", "fanuc", "ros"):
+        done = folder.armcal(f"program rail.toml plan.csv --robot {robot} --out p.src --force")
+        assert (said in done.flat) == (robot != "ros")
+
+
 def test_sides_that_are_asked_for_and_not_driven_from_are_named(folder: Folder) -> None:
     names = [f"{name}{j}{unit}" for name, unit in (("q", "_deg"), ("direction", "")) for j in range(1, 5)]
     rows = [*4 * [0], *4 * [1]], [*4 * [5], 1, 1, -1, 1], [*4 * [9], *4 * [1]]

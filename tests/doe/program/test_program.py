@@ -242,6 +242,14 @@ def test_an_arm_that_the_controller_does_not_know() -> None:
     assert "allowed: 0 to 300" in refusal(LIMITED, "kuka", settle=float("nan"))
 
 
+def test_postures_listed_for_a_dry_run_name_their_units() -> None:
+    sliding = Arm(chain_of([RAIL, *SIX[1:]]), sigma=0.05)
+    listed = {"abb": "Joints in mm and deg as", "kuka": "Joints in mm and deg as", "ros": "listed here in deg and mm"}
+    for robot, words in listed.items():
+        assert words in program(sliding, Plan(POSTURES, joint_types=sliding.joint_types), robot)[0]
+    assert "listed here in deg, as PolyScope" in program(LIMITED, PLAN, "ur")[0]
+
+
 def test_no_row_beyond_the_limits_of_the_controller() -> None:
     """In its own counting: what it shows, and what it allows there."""
     beyond = POSTURES.copy()
