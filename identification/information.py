@@ -164,6 +164,24 @@ def describe(direction: Array, names: Sequence[str]) -> str:
     return words[3:]
 
 
+def conditional_covariance(covariance: Array, kept: NDArray[np.int64], conditioned: NDArray[np.int64]) -> Array:
+    """Covariance of the parameters `kept` once those `conditioned` have their values.
+
+    Combinations of these that hardly vary are not conditioned on: what is there of them is rounding, which their
+    inverse would amplify. Of a square root R R^T it is what rows have off the others, and so positive semidefinite, as
+    an arm file's covariance is.
+    """
+    every = np.concatenate([kept, conditioned])
+    sizes = np.sqrt(np.diag(covariance)[every].clip(min=0.0))
+    scale = np.where(sizes > 0.0, sizes, np.inf)
+    values, vectors = np.linalg.eigh(covariance[np.ix_(every, every)] / np.outer(scale, scale))
+    root, others = np.split(vectors * np.sqrt(values.clip(min=0.0)), [len(kept)])
+    values, vectors = np.linalg.eigh(others @ others.T)
+    fixed = (vectors[:, values > VISIBLE] / np.sqrt(values[values > VISIBLE])).T @ others
+    root = sizes[: len(kept), None] * (root - root @ fixed.T @ fixed)
+    return np.asarray(root @ root.T)
+
+
 def sparse_basis(orthonormal: Array) -> Array:
     """(p, k) vectors that span the columns of an orthonormal (p, k), each with a one where the others have none: the
     reduced echelon form about the rows that are farthest from each other."""

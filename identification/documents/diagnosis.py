@@ -102,7 +102,7 @@ def diagnosis_verdict(data: Data) -> list[str]:
         curves = sorted(curve["joint"] for curve in data["curves"])
         words = "An error curve of {} describes" if len(curves) == 1 else "Error curves of {} describe"
         lines.append(f"{words.format(of_joints(curves))} it; its cause is unknown.")
-    return [*lines, *([f"In addition: {named}."] if effects else [])]
+    return [*lines, *([f"In addition, each likelier than not: {named}."] if effects else [])]
 
 
 def perhaps_scatter(data: Data) -> bool:
@@ -243,7 +243,8 @@ def diagnosis_document(
         return Pictures(lambda: resolve_name(f"identification.documents.pictures:{name}")(diagnosis))
 
     data, named = diagnosis.to_json() | {"files": files}, diagnosis.named
-    reliance = [f"95 % intervals: {named.uncertainty.sentence}."] if data["effects"] else []
+    explained = data["verdict"] in ("named", "ambiguous")
+    reliance = [f"95 % intervals: {named.uncertainty.sentence}."] if explained else []
     sections = [Section("What is missing", [*missing_parts(data), *reliance])]
     if data["replication"]:
         sessions = []
@@ -283,9 +284,10 @@ def diagnosis_document(
 
 
 def missing_parts(data: Data) -> list[Part]:
-    """What is named, how likely it is, and its values; what is named beside an unknown effect."""
+    """What is named, how likely it is, and its values. Beside something unknown it has none of its own, which would be
+    off by what it takes of that: the corrected values are of both."""
     tests, figures, estimates, several = tests_of(data), [], list[Part](), len(data["candidates"]) > 1
-    for c in (list(data["candidates"]) or [data["named"]]) if data["effects"] else []:
+    for c in data["candidates"] if data["verdict"] in ("named", "ambiguous") else []:
         p = c["probability"]  # a small one is never rounded to zero
         chance = "< 0.01" if p and p < 0.005 else number(p, 2)
         figures.append([" +\n".join(c["effects"]), chance, f"{c['delta_bic']:.1f}"])

@@ -17,7 +17,7 @@ from identification.gap.blocks import WAVES, Block, around, curve_waves, slope_b
 from identification.gap.fit import Fitted
 from identification.gap.likelihood import Index, Key, mixed
 from identification.gap.search import PASSES, Posterior
-from identification.information import VISIBLE
+from identification.information import VISIBLE, conditional_covariance
 from identification.measurements import rms_distance
 from identification.model import Model
 
@@ -210,24 +210,6 @@ def as_model(posterior: Posterior, coordinates: int) -> tuple[PredictingModel, A
     wide, numbers = of_effects([b for b in kept if b.effect is not None])
     predicting = PredictingModel(model, values, rows, beside, sigma, freedom, spread, specs, tuple(curves))
     return predicting.allowing(square + rms_distance(bend) ** 2), bend, Fitted(wide, mean[numbers], rows)
-
-
-def conditional_covariance(covariance: Array, kept: Index, conditioned: Index) -> Array:
-    """Covariance of the parameters `kept` once those `conditioned` have their values.
-
-    Combinations of these that hardly vary are not conditioned on: what is there of them is rounding, which their
-    inverse would amplify. Of a square root R R^T it is what rows have off the others, and so positive semidefinite, as
-    an arm file's covariance is.
-    """
-    every = np.concatenate([kept, conditioned])
-    sizes = np.sqrt(np.diag(covariance)[every].clip(min=0.0))
-    scale = np.where(sizes > 0.0, sizes, np.inf)
-    values, vectors = np.linalg.eigh(covariance[np.ix_(every, every)] / np.outer(scale, scale))
-    root, others = np.split(vectors * np.sqrt(values.clip(min=0.0)), [len(kept)])
-    values, vectors = np.linalg.eigh(others @ others.T)
-    fixed = (vectors[:, values > VISIBLE] / np.sqrt(values[values > VISIBLE])).T @ others
-    root = sizes[: len(kept), None] * (root - root @ fixed.T @ fixed)
-    return np.asarray(root @ root.T)
 
 
 # -- error curves ------------------------------------------------------------------------------------------------------

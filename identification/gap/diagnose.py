@@ -111,7 +111,8 @@ def diagnose(
         likely = likely.not_none(p)
     unknown, something = likely.verdict == "unknown", likely.verdict != "none"
     likeliest = {one.named: one for one in reversed(posterior.explanations)}
-    sets = [likeliest[names] for names in likely.rivals] or [likeliest.get(None if unknown else ()) or likeliest[()]]
+    beside = posterior.beside_unknown if unknown else None
+    sets = [likeliest[names] for names in likely.rivals] or [beside or likeliest[()]]
     fits, candidates = [], list[Candidate]()
     for one in sets:
         noise = posterior.noises[one.noise]

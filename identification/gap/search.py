@@ -268,6 +268,21 @@ class Posterior:
         return self.explanations[0]
 
     @cached_property
+    def beside_unknown(self) -> Explanation | None:
+        """What is likelier than not, given that something is outside the library, each with its likeliest settings: as
+        a set that was not drawn. None: nothing is outside."""
+        if not (sets := [one for one in self.explanations if one.outside]):
+            return None
+        chances = defaultdict[str, defaultdict[tuple[str, ...], float]](lambda: defaultdict(float))
+        for one in sets:
+            for key in {b.key for b in one.blocks if b.row is None}:
+                chances[key][tuple(b.label for b in one.blocks if b.key == key)] += one.probability
+        half = 0.5 * sum(one.probability for one in sets)
+        likely = (shares for shares in chances.values() if sum(shares.values()) > half)
+        labels = {label for shares in likely for label in max(shares, key=lambda one: (round(shares[one], 9), one))}
+        return Explanation(tuple(b for b in self.whole.blocks if b.label in labels), (), sets[0].noise, 0.0)
+
+    @cached_property
     def shares(self) -> Array:
         """(K,) probability of each noise model."""
         noises, probabilities = zip(*((one.noise, one.probability) for one in self.explanations), strict=True)

@@ -344,7 +344,8 @@ def sufficiency(
     if tip is not None and measured is not None and source is not None:
         accuracy = f"{measured:.3g} mm at the tip at postures like those measured, {tip:.3g} mm over the joint limits"
         accuracy += f" (RMS), {SOURCES[source]}, if the model is right"
-    by_machining = f" ({len(held)} held by [machining])" if held else ""
+    determining = keys["numbers"] - spare  # what a prior alone decides costs no equation
+    by_machining = f" ({determining} determined by them, the rest by [machining])" if held else ""
     weakly = (f"{name} (std {std:{'.3g' if std < 1000.0 else '.0f'}} {unit})" for name, std, unit in weak)
     count = f"{keys['numbers']} for {parameters} parameters{by_machining}: {spare} left to judge the fit"
     words: list[tuple[str, str | None]] = [("equations", count)]

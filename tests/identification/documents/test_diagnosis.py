@@ -84,7 +84,7 @@ def test_effects_are_said_in_words_with_their_names(labels: list[str], words: st
             "The arm scatters by more than sigma_mm",
             "",
         ),
-        (said("unknown", "backlash:2"), f"{PLACE} In addition: {PLAY}.", ""),
+        (said("unknown", "backlash:2"), f"{PLACE} In addition, each likelier than not: {PLAY}.", ""),
     ],
 )
 def test_a_verdict_comes_with_what_follows_from_it(data: dict[str, Any], first: str, command: str) -> None:

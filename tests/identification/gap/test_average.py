@@ -12,11 +12,12 @@ from hypothesis import strategies as st
 
 from identification import Arm, Array, EffectSpec, Gravity, Measurements, Model
 from identification.arm import ErrorCurve
-from identification.gap.average import averaged, conditional_covariance, shape_and_waves
+from identification.gap.average import averaged, shape_and_waves
 from identification.gap.blocks import around, hypotheses, measured_range
 from identification.gap.fit import Rows, fit
 from identification.gap.likelihood import SIZES, Key
 from identification.gap.search import Explanation, Posterior, posterior_of
+from identification.information import conditional_covariance
 
 ARM = Arm([300.0, 200.0], sigma=0.05)
 SETS = (("encoder_eccentricity:2",), ("gear_ratio:2", "curve:1"), ("encoder_eccentricity:2", "curve:2"))
@@ -43,6 +44,33 @@ def in_sets(walked: Posterior, sets: Sequence[tuple[str, ...]], shares: Sequence
         draws[key] = round(100 * share)
     alone = {"problems": (problem,), "noises": walked.noises[:1], "draws": (draws,)}
     return replace(walked, explanations=tuple(explanations), **alone)
+
+
+def test_beside_an_unknown_all_is_named_that_is_likelier_than_not() -> None:
+    """By sums over sets of random probabilities, of those alone with a curve; here the settings of one ripple exclude
+    each other. The likeliest set, of which this once was all and nothing else, is one of thousands on a real robot."""
+    walked, rng = three_sets(), np.random.default_rng(5)
+    tones = [label for label in walked.whole.numbers if label.startswith("transmission_ripple:1[")][:2]
+    ripples = ((), *((tone,) for tone in tones))
+    sets = [
+        (*plain, *ripple, *curve)
+        for plain in ((), ("encoder_eccentricity:2",), ("gear_ratio:2",), ("encoder_eccentricity:2", "gear_ratio:2"))
+        for ripple in ripples
+        for curve in ((), ("curve:1",))
+    ]
+    without = in_sets(walked, [one for one in sets if "curve:1" not in one], [1.0 / 12.0] * 12)
+    assert without.beside_unknown is None
+    for _ in range(50):
+        shares = rng.dirichlet(np.full(len(sets), 0.3)).tolist()
+        unknown = {one: p for one, p in zip(sets, shares, strict=True) if "curve:1" in one}
+        whole = sum(unknown.values())
+        chance = {label: sum(p for one, p in unknown.items() if label in one) for one in sets for label in one}
+        expected = {label for label, p in chance.items() if p > 0.5 * whole and label not in tones}
+        if sum(chance[tone] for tone in tones) > 0.5 * whole:
+            expected.add(max(tones, key=lambda tone: chance[tone]))
+        found = in_sets(walked, sets, shares).beside_unknown
+        assert found is not None
+        assert {b.label for b in found.blocks} == expected
 
 
 def regressed(given: Posterior, one: Explanation, base: Array, target: Array) -> tuple[Array, Array, list[Array]]:

@@ -232,7 +232,11 @@ def test_what_only_tilts_tell_apart_is_determined_weakly() -> None:
     positions = np.column_stack([flat.real, flat.imag, np.full(40, 410.0)]) + NOISE * generator.standard_normal((40, 3))
     measured = Measurements(q, positions)
     found = estimate(Model(Arm(chain, sigma=NOISE)), measured)
-    seen = sufficiency(found, measured, NoiseFloor())[0]
+    seen, words, _ = sufficiency(found, measured, NoiseFloor())
+    columns = found.model.linearize(q, np.array([found.values[name] for name in found.names]))[1].reshape(120, -1)
+    rank = np.linalg.matrix_rank(columns / np.linalg.norm(columns, axis=0).clip(1e-9), tol=1e-6)
+    count = f"120 for {len(found.names)} parameters ({rank} determined by them, the rest by [machining])"
+    assert words[0][1] == f"{count}: {120 - rank} left to judge the fit"
     assert [row["name"] for row in seen["weakly_determined"]] == ["base.z", "tool[1].z"]
     assert seen["identifiable"][:2] == ("base (x, y, rx, ry, rz)", "tool[1] (x, y)")
     rows = seen["weakly_determined"]
