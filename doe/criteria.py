@@ -10,6 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,7 +48,8 @@ class Criterion(ABC):
         Exact to rounding: the imaginary part of G(M + i h X) / h has no difference in it that could cancel.
         """
         step = 1e-60
-        changes = np.imag(self.gradient(information + 1j * step * directions)) / step
+        beside: Any = information + 1j * step * directions
+        changes = np.imag(self.gradient(beside)) / step
         half = 0.5 * changes.reshape(len(directions), -1) @ directions.reshape(len(directions), -1).T
         return np.asarray(half + half.T)
 

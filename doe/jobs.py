@@ -17,7 +17,7 @@ import signal
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence, Set
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import fields, is_dataclass
@@ -233,7 +233,7 @@ def executor_of(workers: Workers) -> AbstractContextManager[tuple[Executor, int]
 
 
 @contextmanager
-def _pool(number: int) -> Iterator[tuple[Executor, int]]:
+def _pool(number: int) -> Generator[tuple[Executor, int], None, None]:
     """Processes of our own, by loky (joblib): it starts an ordinary Python, so it works from anywhere (a notebook, a
     dask worker), and what hangs or crashes there stops nothing here. Killed at the end: after Ctrl-C nobody waits."""
     from joblib.externals.loky import ProcessPoolExecutor
@@ -267,7 +267,7 @@ def _pool(number: int) -> Iterator[tuple[Executor, int]]:
 
 
 @contextmanager
-def cluster(address: str, patience: float = 10.0) -> Iterator[tuple[Executor, int]]:
+def cluster(address: str, patience: float = 10.0) -> Generator[tuple[Executor, int], None, None]:
     """Executor and number of threads of a dask cluster, `tcp://host:port` of its scheduler; its workers need this
     package installed. dask prints nothing meanwhile: a lost scheduler is one line of ours.
 

@@ -4,7 +4,7 @@ Which of the names that are allowed somebody may have meant: misspelt or shorten
 """
 
 import re
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Generator, Iterable, Sequence
 from contextlib import contextmanager
 from difflib import get_close_matches
 from typing import Self
@@ -36,7 +36,7 @@ class InputError(ArmcalError):
 
     @classmethod
     @contextmanager
-    def at(cls, place: object, *others: str) -> Iterator[None]:
+    def at(cls, place: object, *others: str) -> Generator[None, None, None]:
         """What is raised within is said of this place, unless it begins with it, or with one of others."""
         try:
             yield

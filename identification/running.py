@@ -2,7 +2,7 @@
 
 import sys
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import Enum
@@ -51,7 +51,7 @@ class Progress:
 
 
 @contextmanager
-def single_thread() -> Iterator[None]:
+def single_thread() -> Generator[None, None, None]:
     """`with single_thread():`, or `@single_thread()` of a function: BLAS uses one thread inside, and as many as before
     afterwards. Matrices here are 8 x 8 or so: more threads only wait for each other (5 x slower)."""
     with _libraries(len(sys.modules)).limit(limits=1, user_api="blas"):

@@ -228,7 +228,7 @@ def check_files(
         outside = (np.flatnonzero(np.any(np.concatenate(beyond, axis=1) < 0.0, axis=1)) + 1).tolist()
         summary = f"{data}: a plan of {len(q)} runs, {len(outside)} of them outside joint limits or constraints"
         summary += f": {', '.join(map(str, outside))}" if outside else ""
-        answers = {"outside_limits": outside, "collisions": [], "moves": {"not_free": []}, **near}
+        answers: dict[str, Any] = {"outside_limits": outside, "collisions": [], "moves": {"not_free": []}, **near}
         fine = not (outside or answers["collisions"] or answers["moves"]["not_free"])
         return Answer({"ok": fine, **answers}, Document(parts=[summary, *lines]))
     measurements = load_measurements(data, loaded)

@@ -196,7 +196,7 @@ class ContinuousSet:
             q = newton_ascent(q, height, slopes, limits, problem.joint_units, 1e-3 * barrier, stop)
             if problem.constraints:
                 # most starts share a maximum; of those within 1e-6 rad that came by the same barriers one climbs on
-                apart = distinct(np.column_stack([problem.comparable(q), kind]), 1e-6)
+                apart = distinct(np.column_stack([problem.comparable(q), kind.astype(float)]), 1e-6)
                 q, kind = q[apart], kind[apart]
         return q
 

@@ -16,7 +16,7 @@ import sys
 import threading
 import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, is_dataclass
 from io import TextIOWrapper
@@ -254,7 +254,7 @@ def check_outputs(context: click.Context) -> None:
 
 
 @contextmanager
-def errors_as_lines() -> Iterator[None]:
+def errors_as_lines() -> Generator[None, None, None]:
     """Where there is no answer, one line says why and the command ends."""
     try:
         if sys.stdout is None:
@@ -274,7 +274,7 @@ def errors_as_lines() -> Iterator[None]:
 
 
 @contextmanager
-def stoppable() -> Iterator[None]:
+def stoppable() -> Generator[None, None, None]:
     """SIGTERM ends a verb as Ctrl-C does: finished rows stay, no process and no half-written file does. Whoever catches
     it may answer with the best so far."""
     if threading.current_thread() is not threading.main_thread():
@@ -314,7 +314,7 @@ def stoppable() -> Iterator[None]:
 
 
 @contextmanager
-def interruptible(kept: str, rows: Path | None = None) -> Iterator[None]:
+def interruptible(kept: str, rows: Path | None = None) -> Generator[None, None, None]:
     """Ctrl-C or SIGTERM in one sentence, whose end says what is kept, or in which folder finished rows are."""
     try:
         yield
@@ -326,7 +326,7 @@ def interruptible(kept: str, rows: Path | None = None) -> Iterator[None]:
 
 
 @contextmanager
-def warnings_as_lines(quiet: bool) -> Iterator[None]:
+def warnings_as_lines(quiet: bool) -> Generator[None, None, None]:
     """Warnings to standard error, one line each, each once."""
     seen: set[str] = set()
 
@@ -344,7 +344,7 @@ def warnings_as_lines(quiet: bool) -> Iterator[None]:
 
 # -- progress on standard error ----------------------------------------------------------------------------------------
 @contextmanager
-def shown_progress(title: str, quiet: bool, interval: float = 10.0) -> Iterator[Progress]:
+def shown_progress(title: str, quiet: bool, interval: float = 10.0) -> Generator[Progress, None, None]:
     """The callback for a job: a bar on a terminal, which is hidden in the first half second, else a line when it is
     called, at most every `interval` seconds."""
     started = written = time.monotonic()

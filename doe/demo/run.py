@@ -51,7 +51,7 @@ def run_demo(
     title, folder, runs = "the paper's 4-link arm", "planar", 20
     if spatial:
         title, folder, runs = "a six-axis arm before a laser tracker", "six_axes", 36
-        effort = {"starts": 1} | effort
+        effort = {"starts": 1, **effort}
     verbs, files = {name: verb for name, (verb, _) in VERBS.items()}, list[str]()
 
     def file(name: str) -> Written:

@@ -147,8 +147,8 @@ class MisidentificationBound:
         """S (..., K, K), and (..., p, K) what the base parameters must do to leave that."""
         p = self.base
         cross = information[..., :p, p:]
-        base = -np.linalg.solve(information[..., :p, :p], cross)
-        return np.asarray(information[..., p:, p:] + np.swapaxes(cross, -1, -2) @ base), np.asarray(base)
+        base = np.asarray(-np.linalg.solve(information[..., :p, :p], cross), float)
+        return information[..., p:, p:] + np.swapaxes(cross, -1, -2) @ base, base
 
     def _explained(self, schur: Array) -> Iterator[tuple[Array, Array, Array, Array]]:
         """Per rival (D,) probabilities, (..., D, s) B^T S v, B, and its parameters nearest to each v (..., D, s)."""

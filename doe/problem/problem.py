@@ -144,7 +144,8 @@ class DesignProblem:
         check_model(model)
         if offers(model, "placed"):
             model = model.placed()
-        free = cls(model, **{"constraints": constraints_of(model), "deviations": model.prior} | changes)
+        fields: dict[str, Any] = {"constraints": constraints_of(model), "deviations": model.prior, **changes}
+        free = cls(model, **fields)
         if free.choices is not None or not getattr(model, "tied", False):
             return free
         return replace(free, choices=model.tied_postures(free.lower, free.upper, free.joint_units, free.feasible))

@@ -81,7 +81,7 @@ def page(document: Document) -> str:
         drawn = re.sub("|".join(COLORS), lambda color: COLORS[color[0]], drawn)
         return f'<div class="{"wide" if width > 430.0 else "panel"}" style="--width: {width:.0f}pt">\n{drawn}</div>\n'
 
-    environment.filters["sha256"] = lambda text: base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+    environment.filters["sha256"] = lambda text: base64.b64encode(hashlib.sha256(str(text).encode()).digest()).decode()
     return environment.get_template("page.html.j2").render(
         document=document,
         verdict=[sentence for sentence in document.verdict if sentence],

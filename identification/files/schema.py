@@ -242,7 +242,7 @@ class EffectTable(BaseModel):
     """`[[effects]]`: the keys besides these are the effect's own parameters."""
 
     model_config = ConfigDict(extra="allow", strict=True, allow_inf_nan=False)
-    __pydantic_extra__: dict[str, float]
+    __pydantic_extra__: dict[str, float]  # type: ignore[bad-override]
     name: str
     joint: int | None = None
     from_deg: Angle | None = None

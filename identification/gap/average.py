@@ -272,7 +272,7 @@ def shape_and_waves(angles: Array, error: Array, std: Array) -> tuple[str, list[
         columns = [wave(k * angles) for k in orders for wave in (np.cos, np.sin)]
         table = np.column_stack([np.ones(len(error)), *columns]) * weights[:, None]
         values = np.linalg.lstsq(table, error * weights, rcond=VISIBLE)[0]
-        return float(np.sum((error * weights - table @ values) ** 2)), np.asarray(values[1:])
+        return float(np.sum((error * weights - table @ values) ** 2)), np.asarray(values[1:], float)
 
     chosen, left, most = list[float](), [fitted(())[0]], 6
     while left[0] > 0.0 and len(tried) and len(chosen) < most:

@@ -92,7 +92,7 @@ class Rows:
     @cached_property
     def _inverse(self) -> Array:
         """(m, d, d) inverse of `spread`."""
-        return np.asarray(np.linalg.inv(np.eye(self.dimension) if self.spread is None else self.spread))
+        return np.asarray(np.linalg.inv(np.eye(self.dimension) if self.spread is None else self.spread), float)
 
     @property
     def log_determinant(self) -> float:

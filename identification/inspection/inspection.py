@@ -120,7 +120,7 @@ def inspect(arm: Arm, measurements: Measurements) -> Inspection:
     column = instrument.target or touched
     given = tuple(sorted({column if name == touched else name for name in measurements.optional_columns - {"gaps"}}))
     fitted = None if fit is None else rms_distance(fit.residuals_after)
-    data = {
+    data: dict[str, Any] = {
         "rows": len(measurements),
         "postures": len(np.unique(measurements.posture_numbers)),
         "sessions": measurements.sessions,

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from itertools import accumulate, combinations, pairwise, product
+from operator import matmul
 from typing import Any, Self
 
 import numpy as np
@@ -103,7 +104,7 @@ class Reading:
     def postures(self, columns: Array) -> Array:
         """(m, n) what the arm's joints are, of columns (m, n) in the right units."""
         read = columns[:, list(self.order)] * np.array(self.signs) + 0.5 * np.pi * np.array(self.quarters)
-        return np.linalg.solve(self.matrix, read.T).T if self.sums else read
+        return np.asarray(np.linalg.solve(self.matrix, read.T).T, float) if self.sums else read
 
     def counting(self, before: Counting) -> Counting | None:
         """How the controller counts, where this is what its columns say to an arm whose file says `before`; None where
@@ -393,7 +394,7 @@ def _rows(arm: Arm, measurements: Measurements) -> tuple[Array, Array, bool]:
 def parallel_joints(chain: KinematicChain) -> list[tuple[int, tuple[int, ...]]]:
     """Runs of two or more joints that turn about parallel axes, one after the other: the first (from 0), and of each
     whether it turns as the first does (1) or the other way (-1)."""
-    turns = accumulate((joint.origin[:3, :3] for joint in chain.joints), np.matmul)
+    turns = accumulate((joint.origin[:3, :3] for joint in chain.joints), matmul)
     axes = [turn @ joint.axis * (joint.type == REVOLUTE) for turn, joint in zip(turns, chain.joints, strict=True)]
     runs = [(0, [1])]
     for j, (before, axis) in enumerate(pairwise(axes), start=1):

@@ -89,7 +89,7 @@ class Socket(AtTargets):
         return replace(self, distances=()), known
 
     @property
-    def size_is_open(self) -> tuple[str, str]:
+    def size_is_open(self) -> tuple[str, str]:  # type: ignore[override]
         pairs = self._pairs if self.at else self.distances  # between these cups, of all that are given
         longer = "", "give distances_mm between cups farther apart, which tell the size of the arm better"
         return longer if pairs else ("cups without a distance that is known", "give distances_mm between them")

@@ -95,12 +95,12 @@ class Counting:
         for j, other in enumerate(self.coupled_to):
             if other:
                 parents[j, abs(other) - 1] = np.sign(other)
-        return np.array(self.sign)[:, None] * np.round(np.linalg.inv(np.eye(n) - parents))
+        return np.asarray(np.array(self.sign)[:, None] * np.round(np.linalg.inv(np.eye(n) - parents)), float)
 
     @cached_property
     def inverse(self) -> Array:
         """(n, n) of q = inverse (c - zero)."""
-        return np.round(np.linalg.inv(self.matrix))
+        return np.asarray(np.round(np.linalg.inv(self.matrix)), float)
 
     # joints (from 0) in whose column the angle of another is
     coupled = property(lambda self: tuple(j for j, other in enumerate(self.coupled_to) if other))

@@ -405,6 +405,6 @@ def noise(truth: TrueArm, run: RowConditions, rng: np.random.Generator, kind: st
 def recorded(truth: TrueArm, run: RowConditions, error: Array) -> Measurements:
     """What the instrument says."""
     names = tuple(str(k + 1) for k in range(len(truth.tools)))
-    marker = {"marker": np.array(names)[run.marker], "marker_names": names} if len(names) > 1 else {}
+    marker: dict[str, Any] = {"marker": np.array(names)[run.marker], "marker_names": names} if len(names) > 1 else {}
     order, temperature = np.arange(len(run.q), dtype=float), 20.0 + run.warm
     return Measurements(run.q, position(truth, run) + error, order, temperature=temperature, directions=run.s, **marker)
