@@ -383,9 +383,9 @@ def in_sentences(moves: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def distance_in_words(near: Mapping[str, Any]) -> str:
-    """Of two bodies, as `Clearance.too_near` has them."""
-    gap = near["distance_mm"]
-    return f"{' and '.join(near['bodies'])} {f'overlap by {-gap:.1f} mm' if gap < 0.0 else f'are {gap:.1f} mm apart'}"
+    """Of two bodies, as `Clearance.too_near` has them; digits are cut, as 20.0 mm of the 20 asked look enough."""
+    gap = np.floor(100.0 * near["distance_mm"]) / 100.0
+    return f"{' and '.join(near['bodies'])} {f'overlap by {-gap:.2f} mm' if gap < 0.0 else f'are {gap:.2f} mm apart'}"
 
 
 def said_of_collisions(
@@ -416,7 +416,7 @@ def said_of_collisions(
     touching = [" and ".join(pair) for pair in clearance.touching]
     for why, each in (
         ("Pairs that are always close (smaller clearance)", narrow),
-        ("Pairs that touch at nearly all postures (not checked)", touching),
+        ("Pairs whose covers touch at nearly all postures (not checked)", touching),
         ("Links whose meshes were not found (not checked)", clearance.unseen),
         ("Joints whose links have no bodies (not checked)", clearance.bare),
     ):

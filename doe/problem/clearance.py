@@ -13,8 +13,8 @@ force along n in Pluecker coordinates (R. Featherstone, "Rigid Body Dynamics Alg
 derivatives are finite differences of these.
 
 The pieces contain the real surfaces, so clear pieces mean clear bodies; the converse need not hold. Pairs connected by
-a joint are not checked (`Cell.apart`), nor are pairs that touch at nearly all random postures. A pair that is always
-close, such as both neighbours of a short link, must keep at most a quarter of its largest distance.
+a joint are not checked (`Cell.apart`), nor are pairs whose pieces touch at nearly all random postures. A pair that is
+always close, such as both neighbours of a short link, must keep at most a quarter of its largest distance.
 """
 
 from collections.abc import Sequence

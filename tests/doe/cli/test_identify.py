@@ -35,6 +35,14 @@ def test_simulated_data_are_fine(folder: Folder) -> None:
     folder.write("wide.toml", ARM.replace("links_mm", "link_width_mm = 150.0\nlinks_mm", 1))
     said = folder.armcal("check wide.toml data.csv").out
     assert "No problems found in these data besides the collisions below" in said
+    # repeats that are read back with other digits are no further postures
+    frame = pl.read_csv(folder.path / "data.csv")
+    again = pl.concat([frame, frame.with_columns(pl.col("q2_deg") + 0.002, pl.col("order") + len(frame))])
+    again.write_csv(folder.path / "again.csv")
+    postures = found["postures"]
+    words = folder.armcal("check wide.toml again.csv").flat
+    assert f"{2 * len(frame)} rows, {postures} postures" in words
+    assert f"of {postures} postures bodies are too close" in words
 
 
 @pytest.mark.parametrize(

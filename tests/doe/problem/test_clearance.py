@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from doe import DesignProblem, solve
 from doe.plan.ascent import PlanAscent
-from doe.plan.moves import said_of_collisions
+from doe.plan.moves import distance_in_words, said_of_collisions
 from doe.problem.clearance import Clearance, from_box, nearest_to_box, shortest
 from doe.problem.constraints import Walls, constraints_of
 from doe.problem.problem import put_inside, random_postures
@@ -253,6 +253,8 @@ def test_what_is_said_of_postures(clearance: Clearance, postures: Array) -> None
     first = clearance.too_near(postures)[0]
     pair = clearance.pairs.index(tuple(first["bodies"]))
     assert first["distance_mm"] == clearance.distance(postures)[first["run"] - 1, pair]
+    for distance, words in ((19.998, "are 19.99 mm apart"), (0.001, "are 0.00 mm apart"), (-0.3, "overlap by 0.30 mm")):
+        assert distance_in_words({"bodies": ["a", "b"], "distance_mm": distance}) == f"a and b {words}"
 
 
 def test_two_links_have_no_pair_that_could_touch() -> None:
