@@ -43,7 +43,7 @@ class Gravity(ByValue):
 
     acceleration: Array  # (d,) [m/s^2] in the base frame
     link_masses: Array  # (n,) [kg]
-    center_of_mass: Array  # (n,) fraction of the link from its joint
+    center_of_mass: Array  # (n,) fraction of the link from its joint, or (n, 3) [mm] in the frame of that
     payload: float = 0.0  # [kg] at the tip
     payload_at: Array | None = None  # (3,) its center of mass in the tip's frame [mm]; None: at the measured point
 

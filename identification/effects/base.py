@@ -300,14 +300,16 @@ class ArmState:
 
     @cached_property
     def loads(self) -> list[tuple[ca.SX, int, ca.SX]]:
-        """(mass [kg], link, place (3,) [mm]) of every mass: of a link on the line from its joint's frame to the next,
-        as far along as the file says; the payload where the file says, else at the first measured point."""
+        """(mass [kg], link, place (3,) [mm]) of every mass: of a link where the file says, in its joint's frame, or as
+        a share of the line to the next; the payload where the file says, else at the first measured point."""
         gravity, chain = self.required_gravity, self.geometry
         at = ca.SX(ca.DM(next(iter(chain.tools.values()))[:3, 3] if gravity.payload_at is None else gravity.payload_at))
         masses = [(self.payload, self.links - 1, self.frames[-1].point(at + in_space(self.payload_shift)))]
-        for k, (mass, share) in enumerate(zip(gravity.link_masses, gravity.center_of_mass, strict=True)):
-            along = ca.SX(ca.DM(share * chain.link_poses[k + 1][:3, 3]))
-            masses.append((ca.SX(mass), k, self.frames[k + 1].point(along)))
+        centers = gravity.center_of_mass
+        if centers.ndim == 1:
+            centers = centers[:, None] * np.array([pose[:3, 3] for pose in chain.link_poses[1:]])
+        for k, (mass, center) in enumerate(zip(gravity.link_masses, centers, strict=True)):
+            masses.append((ca.SX(mass), k, self.frames[k + 1].point(ca.SX(ca.DM(center)))))
         return masses
 
     @cached_property

@@ -77,8 +77,8 @@ def arm_from_tables(tables: Plain, folder: PathLike = ".", package_dirs: Sequenc
     urdf = None if file.urdf is None else read_urdf(named_file(folder, file.urdf, "urdf", "the arm file"))
     chain = _drawn_chain(file, urdf)
     n, types = len(chain), np.array(chain.joint_types)
-    counted = "gravity.link_masses_kg gravity.center_of_mass joints.sign joints.coupled_to joints.zero_deg"
-    for place in counted.split():
+    counted = "gravity.link_masses_kg gravity.center_of_mass gravity.center_of_mass_mm joints.sign joints.coupled_to"
+    for place in (*counted.split(), "joints.zero_deg"):
         table, _, key = place.partition(".")
         _require_count(place, getattr(getattr(file, table), key, None), n)
     counting, calibration, tied = replace(Counting.usual(n), **_in_api(file.joints)), None, list[ColumnLimits]()
@@ -99,6 +99,8 @@ def arm_from_tables(tables: Plain, folder: PathLike = ".", package_dirs: Sequenc
     if file.links_mm is None:  # so that they stand in its URDF file
         each = zip(chain.joints, *limits.tolist(), strict=True)
         chain = replace(chain, joints=tuple(replace(joint, lower=low, upper=high) for joint, low, high in each))
+    if file.gravity is not None and file.gravity.center_of_mass is not None is not file.gravity.center_of_mass_mm:
+        raise InputError("gravity.center_of_mass: found beside center_of_mass_mm, allowed: one of them")
     halves: Plain = {"center_of_mass": (0.5,) * n}
     gravity = None if file.gravity is None else Gravity(**halves | _in_api(file.gravity))
     effects = _effects(file.effects, chain, gravity is not None)

@@ -298,6 +298,7 @@ GravityTable = _table(
     acceleration_m_s2=Point,
     link_masses_kg=list[NotNegative],
     center_of_mass=list[Annotated[float, Field(ge=0, le=1)]],
+    center_of_mass_mm=_only("spatial", list[Point]),
     payload_kg=(NotNegative, 0.0),
     payload_at_mm=_only("spatial", Point),
 )

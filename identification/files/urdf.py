@@ -147,18 +147,17 @@ class Urdf:
 
     def masses(self, base: str, tip: str) -> tuple[Array, Array]:
         """(n,) [kg] of all links that move with a joint of a chain and not with the next, zero where the file gives
-        none; (n,) how far along the line to the next joint, the last to the tip, their center of mass is, 0 to 1."""
+        none; (n, 3) [mm] their center of mass in the frame of that joint, of one without a place half the way on."""
         steps = np.array([step[:3, 3] for step in self.chain(base, tip).link_poses[1:]])
-        masses, moments = np.zeros((2, len(steps)))
+        masses, moments = np.zeros(len(steps)), np.zeros(steps.shape)
         for name, (number, place, _) in self.links_on(base, tip).items():
             inertial = self.links[name].find("inertial")
             if number and inertial is not None and (element := inertial.find("mass")) is not None:
-                mass, step = self.numbers(element, "mass", "value", None, 1).item(), steps[number - 1]
+                mass, half = self.numbers(element, "mass", "value", None, 1).item(), 0.5 * steps[number - 1]
                 center = (place @ self.origin(inertial, f"link {name!r}: inertial"))[:3, 3]
                 masses[number - 1] += mass
-                moments[number - 1] += mass * float((step / 2.0 if inertial.find("origin") is None else center) @ step)
-        whole = masses * np.sum(steps**2, axis=1)
-        return masses, np.clip(np.divide(moments, whole, out=np.full(len(steps), 0.5), where=whole > 0.0), 0.0, 1.0)
+                moments[number - 1] += mass * (half if inertial.find("origin") is None else center)
+        return masses, moments / np.where(masses > 0.0, masses, 1.0)[:, None]
 
     def neighbours(self) -> frozenset[frozenset[str]]:
         """Pairs of links with bodies that one joint connects, or one that moves and fixed ones, by way of others."""

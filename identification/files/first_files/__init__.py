@@ -104,7 +104,7 @@ def urdf_files(path: PathLike, base: str | None = None, tip: str | None = None, 
     }
     if np.any(masses):
         values |= {"massed": True, "masses": [float(f"{mass:.12g}") for mass in masses.tolist()]}
-        values["centers"] = centers.round(3).tolist()
+        values["centers"] = (centers.round(3) + 0.0).tolist()
     return _files([joint.type for joint in chain.joints], instrument, **values) | {file: urdf.text}
 
 

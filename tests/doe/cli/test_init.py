@@ -151,13 +151,15 @@ def test_ends_that_cannot_be_measured_are_not_taken(folder: Folder) -> None:
 
 
 def test_centers_of_mass_are_those_of_the_urdf_file(folder: Folder) -> None:
-    """2.5 kg at 60 mm, 0.5 kg of which nothing is said at half of the 300 mm, and a finger of 1 kg beside the end."""
+    """2.5 kg at 60 and 100 mm, 0.5 kg of which nothing is said at half of the 300 mm, and a finger of 1 kg beside the
+    end."""
     place = '<inertial><mass value="{}"/><origin xyz="{}"/></inertial>'
     text = GRIPPER.replace('<inertial><mass value="2.5"/></inertial>', place.format(2.5, "0.06 0.1 0"))
     text = text.replace('<link name="left"/>', f'<link name="left">{place.format(1.0, "0 0.1 0")}</link>')
     written = urdf_files(folder.write("hand.urdf", text), tip="tcp")["arm.toml"]
     assert "link_masses_kg = [4.0]" in written
-    assert f"center_of_mass = [{round((2.5 * 60.0 + 0.5 * 150.0 + 300.0) / (4.0 * 300.0), 3)}]" in written
+    along, beside = (2.5 * 60.0 + 0.5 * 150.0 + 1.0 * 300.0) / 4.0, (2.5 * 100.0 + 1.0 * 100.0) / 4.0
+    assert f"center_of_mass_mm = [[{along}, {beside}, 0.0]]" in written
 
 
 @pytest.mark.parametrize("masses", [True, False])

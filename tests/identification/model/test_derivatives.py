@@ -128,23 +128,29 @@ TURNED = np.random.default_rng(2).uniform(-2.0, 2.0, (7, 3))
 
 
 def test_gravity_torques_are_the_work_of_the_loads() -> None:
-    """tau_j = -dU/dq_j of the potential energy of all masses [J], by central differences in plain numpy."""
+    """tau_j = -dU/dq_j of the potential energy of all masses [J], by central differences in plain numpy; also of masses
+    beside the links."""
     masses, share, payload = np.array([7.0, 5.0, 3.0, 2.0]), np.array([0.5, 0.3, 0.7, 0.5]), 1.5
     down = np.array([0.3, -1.0, -9.7])
-    arm = Arm(replace(CHAIN, tools={"1": np.zeros(3)}), gravity=Gravity(down, masses, share, payload))
+    arm = Arm(replace(CHAIN, tools={"1": np.zeros(3)}))
     model, q = Model(arm), np.array([0.4, -1.1, 320.0, 0.9])
 
     def energy(posture: np.ndarray) -> float:
         points, home = (model.points(q[None])[0, 1:] / 1000.0 for q in (posture, posture * [1.0, 1.0, 0.0, 1.0]))
         ends = points[1:].copy()
         ends[1] = home[2]  # link 2 ends where joint 3 begins to slide
-        return float(-down @ (masses @ (points[:-1] + share[:, None] * (ends - points[:-1])) + payload * points[-1]))
+        along = share[:, None] * (ends - points[:-1])
+        along += beside * design_model(arm).joint_frames(posture[None])[0, :-1, :3, 0]  # along x of each joint
+        return float(-down @ (masses @ (points[:-1] + along) + payload * points[-1]))
 
-    torques = model.torques(q[None])[0]
-    for j, length in enumerate((1.0, 1.0, 1000.0, 1.0)):  # a slide is in millimetres, its force per metre
-        step = 1e-5 * length * np.eye(4)[j]
-        expected = -(energy(q + step) - energy(q - step)) / 2e-5
-        assert torques[j] == pytest.approx(expected, abs=1e-6)
+    on_links = share[:, None] * np.array([pose[:3, 3] for pose in CHAIN.link_poses[1:]])
+    for beside in (0.0, 0.2):  # [m]
+        at = share if not beside else on_links + np.array([1000.0 * beside, 0.0, 0.0])
+        torques = Model(replace(arm, gravity=Gravity(down, masses, at, payload))).torques(q[None])[0]
+        for j, length in enumerate((1.0, 1.0, 1000.0, 1.0)):  # a slide is in millimetres, its force per metre
+            step = 1e-5 * length * np.eye(4)[j]
+            expected = -(energy(q + step) - energy(q - step)) / 2e-5
+            assert torques[j] == pytest.approx(expected, abs=1e-6)
 
 
 def test_an_effect_that_is_defined_anew_is_not_the_one_before(monkeypatch: pytest.MonkeyPatch) -> None:
