@@ -212,7 +212,7 @@ def diagnosis_actions(
         measure = Action("Measure the postures that tell the explanations apart:", apart)
         return [measure, Action("Add the new rows to the data, and diagnose again:", again)]
     if fits.hardly_better(data):
-        use = Action(f"Use the calibration of the geometry{joined}, unless other rows show that it is worse:", alone)
+        use = Action(f"Use the calibration of the geometry{joined}, until more rows tell which is better:", alone)
         return [use, fits.correct("calibrated.toml"), confirm]
     actions = [] if data["confirmation"] and data["confirmation"]["confirmed"] else [confirm]
     if data["verdict"] == "unknown":

@@ -163,14 +163,15 @@ def hardly_better(data: Data) -> list[str]:
     where it is better, or nobody has tried."""
     if (offered := data.get("offered")) is None or offered["better"]:
         return []
-    sure = "no better" if offered["rms_mm"] >= offered["rms_geometry_mm"] else "not significantly better"
+    worse = offered["rms_mm"] >= offered["rms_geometry_mm"]
+    predicts = "predicts no better" if worse else "does not predict significantly better"
     model, geometry = (
         f"{in_a_sentence(offered[f'rms{of}_mm'])} mm RMS (largest {in_a_sentence(offered[f'max{of}_mm'])})"
         for of in ("", "_geometry")
     )
     placed = ", each with the base refitted" if offered["refitted"] else ""
     seen = f"on rows left out of the fit{placed}"
-    return [f"This model predicts {sure} than the geometry alone: {model} against {geometry} {seen}."]
+    return [f"This model {predicts} than the geometry alone: {model} against {geometry} {seen}."]
 
 
 def drawing_in_words(rms: float, refit: str = "base", unit: str = "mm") -> str:

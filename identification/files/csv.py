@@ -158,7 +158,10 @@ def read_table(path: PathLike, *, vias: bool = False) -> Table:
         if name:
             columns[name] = column
         elif any(cell.strip() for cell in column):  # empty ones are what spreadsheets leave behind
-            raise InputError(f"{path}: column {k} has no name in line {lines[0]}, allowed: a name")
+            allowed = "a name, or no such column (of pandas: to_csv(.., index=False))"
+            raise InputError(f"{path}: column {k} has no name in line {lines[0]}, allowed: {allowed}")
+    if re.search(r"\s", first.strip()) and len(header) == 1:
+        raise InputError(f"{path}: line {lines[0]} is separated by spaces, allowed: by commas, semicolons or tabs")
     for name in filter(None, header):
         if re.fullmatch(r"[-+]?[\d.]+([eE][-+]?\d+)?", name):
             raise InputError(f"{path}: line {lines[0]} has the number {name!r}, allowed: the names of the columns")

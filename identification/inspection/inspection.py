@@ -178,20 +178,22 @@ def _problems(
         unexplained = (np.isin(rows, numbers) for numbers in (fit.outlier_rows, fit.unexplained_rows))
         sentences = doubts.far_rows(fit.residuals_after, measurements, arm, *unexplained)
         sentences = sentences or other_distances(arm, measurements, fit)
+        # far from the rows of one arm, where noise is not the reason: effects that are not in the model leave less than
+        # 1 % of the reach, a fit that explains something less than 80 % of what the drawing leaves
+        noise = 3.0 * (arm.sigma or 0.0) * np.sqrt(arm.dimension)
+        if not sentences and fit.rms_after > max(0.01 * arm.reach, 0.8 * drawing, noise):
+            left = f"a fit leaves {fit.rms_after:.4g} mm of the {drawing:.4g} mm that the drawing leaves"
+            mixed = "columns, units, rows or markers" if measurements.marker_names else "columns, units or rows"
+            unnamed = arm.dimension == 3 and not measurements.marker_names
+            several = ", several reflectors without a column marker" if unnamed else ""
+            looked = f"look for {mixed} that are mixed up{several}, or an instrument that moved"
+            sentences = [f"{left}, so no geometry explains these rows: {looked}"]
     if not sentences and drawing > DRAWN * arm.reach:
         sentences = [f"the drawing is {drawing:.4g} mm off, placed as well as it can be: check lengths and columns"]
     if fit is None:
         return [*sentences, "too few rows for a fit of the geometry"]
     if sentences:
         return sentences
-    # far from the rows of one arm, where noise is not the reason: effects that are not in the model leave less than 1 %
-    # of the reach, a fit that explains something less than 80 % of what the drawing leaves
-    noise = 3.0 * (arm.sigma or 0.0) * np.sqrt(arm.dimension)
-    if fit.rms_after > max(0.01 * arm.reach, 0.8 * drawing, noise):
-        left = f"a fit leaves {fit.rms_after:.4g} mm of the {drawing:.4g} mm that the drawing leaves"
-        names = "columns, units or markers" if measurements.marker_names else "columns or units"
-        mixed = f"look for {names} that changed, or an instrument that moved"
-        return [f"{left}, so no geometry explains these rows: {mixed}"]
     if asked := _asked(fit):
         return asked
     if fit.dof <= 0:  # it leaves little whatever the data are

@@ -134,7 +134,9 @@ def test_two_reflectors_changed_for_half_of_the_rows() -> None:
     found = inspect(arm, Measurements(q, seen, marker=swapped))
     assert 14.0 < found.fit.rms_after < 16.0
     (said,) = found.problems
-    assert "no geometry explains these rows: look for columns, units or markers that changed" in said
+    assert "no geometry explains these rows: look for columns, units, rows or markers that are mixed up, or an" in said
+    (unnamed,) = inspect(arm, Measurements(q, seen)).problems
+    assert "several reflectors without a column marker" in unnamed
     loose = replace(arm, sigma=15.0)  # an instrument as bad as that
     assert not any(
         "no geometry" in problem for problem in inspect(loose, Measurements(q, seen, marker=swapped)).problems
