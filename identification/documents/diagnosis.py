@@ -87,11 +87,12 @@ def diagnosis_verdict(data: Data) -> list[str]:
     if verdict == "ambiguous" and len(sets) == 1:
         return [*lines, f"Most likely, but with a probability below one half: {named}."]
     if verdict == "ambiguous":
-        likeliest = number(sets[0]["probability"], 2)
-        shared = [e for e in sets[0]["effects"] if all(e in c["effects"] for c in sets)]
-        spelt = [effects_in_words([e for e in c["effects"] if e not in shared]) or "nothing" for c in sets[:MOST]]
+        total = number(sum(c["probability"] for c in sets), 2)
+        first = number(sets[0]["probability"], 2)
+        count = f"The {len(sets)} likeliest explanations have a probability of {total} together, the first {first}."
+        shared, besides = in_common([c["effects"] for c in sets])
+        spelt = [effects_in_words(rest) or "nothing" for rest in besides[:MOST]]
         spelt += [f"{len(sets) - MOST} more"] * (len(sets) > MOST)
-        count = f"{len(sets)} explanations remain, the most likely with probability {likeliest}."
         common = f"In all of them: {effects_in_words(shared)}. Besides: " if shared else ""
         return [*lines, count, as_sentence(common + "; or ".join(spelt))]
     if perhaps_scatter(data):
@@ -103,6 +104,20 @@ def diagnosis_verdict(data: Data) -> list[str]:
         words = "An error curve of {} describes" if len(curves) == 1 else "Error curves of {} describe"
         lines.append(f"{words.format(of_joints(curves))} it; its cause is unknown.")
     return [*lines, *([f"In addition, each likelier than not: {named}."] if effects else [])]
+
+
+def in_common(sets: Sequence[Sequence[str]]) -> tuple[list[str], list[list[str]]]:
+    """What all sets of effects share, and what each has besides. Their settings make no difference: those of a set are
+    its likeliest, and its probability is of all; what is shared has its setting where that is the same in all."""
+    tables = list[dict[tuple[str, int], str]]()  # effect without setting, and which of those of one set it is -> label
+    for labels in sets:
+        keys = [label.partition("[")[0] for label in labels]
+        tables.append(
+            {(key, keys[:k].count(key)): label for k, (key, label) in enumerate(zip(keys, labels, strict=True))}
+        )
+    common = [slot for slot in tables[0] if all(slot in table for table in tables)]
+    shared = [tables[0][slot] if len({table[slot] for table in tables}) == 1 else slot[0] for slot in common]
+    return shared, [[label for slot, label in table.items() if slot not in common] for table in tables]
 
 
 def perhaps_scatter(data: Data) -> bool:

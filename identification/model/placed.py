@@ -350,15 +350,12 @@ def minimal(
 
 def practical(arm: Arm, measurements: Measurements, least: float = PRACTICAL) -> Arm:
     """A spatial arm for fits without a prior: base and measured points where the closed form finds them, and what
-    measurements hardly determine (`least`, as of `minimal`) as drawn; of contacts what the surfaces show together at
-    the postures measured: a level one does not show where axes lie along it. A planar arm, and a spatial one whose set
-    was chosen, stays as it is."""
+    measurements hardly determine (`least`, as of `minimal`) at their postures as drawn: of joints that stand still, of
+    a level surface where axes lie along it. A planar arm, and a spatial one whose set was chosen, stays as it is."""
     if not arm.chain.redundant:
         return arm
     model, instrument = Model(arm), arm.chain.instrument
     placed = placed_model(model, measurements)
-    if not instrument.contact:
-        return minimal(placed, least).arm
     # readings that do not show the size of the arm would all the same, where they do not fit, fit an arm better that is
     # next to nothing: the longest step from joint to joint stays as drawn, and what is kept takes its place
     steps, sessions = dict[str, float](), [measurements.rows(index) for index in measurements.session_rows]
@@ -366,9 +363,10 @@ def practical(arm: Arm, measurements: Measurements, least: float = PRACTICAL) ->
         along = np.abs(joint.origin[:3, :3].T @ joint.origin[:3, 3]).tolist()
         steps |= {name: size for name, size in zip(error_names(j), along, strict=False) if name in placed.names}
     longest = [max(steps, key=steps.__getitem__)] if steps else []
+    in_one_frame = instrument.own_targets or not instrument.contact  # wherever that stands in each session
     parts = [
         (_fixing(placed_model(model, rows), longest), rows.postures, [rows.conditions])
-        for rows in ([measurements] if instrument.own_targets else sessions)
+        for rows in ([measurements] if in_one_frame else sessions)
     ]
     return minimal(_fixing(placed, longest), least, parts).arm
 

@@ -16,6 +16,7 @@ from identification.documents.diagnosis import (
     effects_in_words,
     gap_in_words,
     gap_parts,
+    in_common,
     refuted,
 )
 from identification.effects import library
@@ -31,7 +32,7 @@ PLACE = "Something outside the library is missing, at joint 3."
 
 def said(verdict: str, *effects: str, confirmed: bool | None = None, sets: int = 1) -> dict[str, Any]:
     """The JSON object of a diagnosis, as far as verdict and actions need it."""
-    candidates = [{"effects": [name], "probability": 0.4} for name in effects[:sets]]
+    candidates = [{"effects": [name], "probability": 0.8 / max(sets, 2)} for name in effects[:sets]]
     found = {"verdict": verdict, "effects": list(effects), "candidates": candidates, "where": "joint:3", "gap": GAP}
     found |= {"shape": None, "curves": [], "predicting": list(effects), "misfit": None}
     return found | {
@@ -70,7 +71,7 @@ def test_effects_are_said_in_words_with_their_names(labels: list[str], words: st
         (said("named", "backlash:2") | LEFT_OUT, "Not confirmed on rows left out in cross-validation.", ""),
         (
             said("ambiguous", "backlash:2", "axes_skew", sets=2),
-            "2 explanations remain, the most likely with probability 0.40.",
+            "The 2 likeliest explanations have a probability of 0.80 together, the first 0.40.",
             "discriminate arm.toml data.csv",
         ),
         (
@@ -129,7 +130,7 @@ def test_where_something_unknown_is(where: str | None, words: str) -> None:
 def test_many_explanations_are_counted_and_the_first_spelt_out() -> None:
     joints = [f"backlash:{j}" for j in range(1, 7)]
     count, spelt = diagnosis_verdict(said("ambiguous", *joints, sets=6))
-    assert count == "6 explanations remain, the most likely with probability 0.40."
+    assert count == "The 6 likeliest explanations have a probability of 0.80 together, the first 0.13."
     assert "(backlash:4); or 2 more." in spelt
     assert "backlash:5" not in spelt
     sets = [{"effects": ["gear_ratio:1", *more], "probability": 0.4} for more in ([], joints[:1], joints[1:2])]
@@ -138,6 +139,17 @@ def test_many_explanations_are_counted_and_the_first_spelt_out() -> None:
     assert (shared[:17], shared.count("gear_ratio:1"), spelt.count("gear_ratio:1")) == ("In all of them: g", 1, 1)
     assert each.startswith("nothing; or gear play")
     assert each.endswith("(backlash:2).")
+
+
+def test_the_settings_of_an_effect_do_not_hide_that_all_explanations_have_it() -> None:
+    """A real Meca 500: ripples of 49 or 50 per turn at joints 4 and 5 in all ten sets, which shared no label."""
+    names = [f"transmission_ripple:{j}" for j in (4, 5)]
+    each = [["[k=49]", "[k=49]"], ["[k=50]", "[k=49]"]]
+    first, second = ([f"{name}{k}" for name, k in zip(names, settings, strict=True)] for settings in each)
+    assert in_common([first, [*second, "backlash:6"]]) == ([names[0], first[1]], [[], ["backlash:6"]])
+    twice = ["transmission_ripple:1[k=6]", "transmission_ripple:1[k=9]"]
+    assert in_common([twice, twice[1:]]) == (["transmission_ripple:1"], [twice[1:], []])
+    assert in_common([first, ["backlash:6"]]) == ([], [first, ["backlash:6"]])
 
 
 @pytest.mark.parametrize("verdict", ["none", "named", "ambiguous", "unknown"])

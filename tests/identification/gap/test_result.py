@@ -94,7 +94,7 @@ def test_nothing_that_a_diagnosis_says_contradicts_its_probabilities() -> None:
         if found.verdict == "ambiguous":
             count = len(found.candidates)
             assert count >= 2 or "below one half" in told
-            assert count == 1 or f"{count} explanations" in told
+            assert count == 1 or f"{count} likeliest explanations" in told
         if found.verdict == "unknown":  # a fit without what is unknown gives them no honest intervals
             assert not any(isinstance(part, Sheet) for part in missing_parts(said))
         line = next(part for part in missing_parts(said) if str(part).startswith("Probability"))
