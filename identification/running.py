@@ -12,8 +12,6 @@ from typing import Any
 
 from identification.errors import InputError
 
-Tell = Callable[[str], None]  # is told what a part of the work is at
-
 
 class Status(Enum):
     """Outcome of an iterative search or fit; `name` goes into JSON, `value` is the sentence shown to people."""

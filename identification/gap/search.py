@@ -11,7 +11,7 @@ probabilities they were drawn with ("Rao-Blackwellization", A. E. Gelfand, A. F.
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import lgamma
@@ -26,7 +26,6 @@ from identification.gap.blocks import Block, Library, Linearized, linearized
 from identification.gap.fit import Fitted, Rows, fit
 from identification.gap.likelihood import SIZES, Key, Products, State
 from identification.gap.noise import NoiseModel, log_likelihoods, noises
-from identification.running import Tell
 
 TAIL = 3.0  # prior: p(K) ~ K^-TAIL, so p(2) / p(1) = 1/8, but p(15) / p(14) = 0.81: many effects suggest further ones
 WRONG = 0.0005  # prior odds of a row to be outlying: clean sessions of 60 rows seldom lose one, 15 sigma always show
@@ -309,7 +308,7 @@ class Posterior:
 
 
 def posterior_of(
-    library: Library, rows: Rows, generator: np.random.Generator, tell: Tell = lambda _: None
+    library: Library, rows: Rows, generator: np.random.Generator, tell: Callable[[str], object] = lambda _: None
 ) -> Posterior:
     """The posterior of these rows, around a likely set, under each noise that is not unlikely.
 
