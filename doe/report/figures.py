@@ -34,7 +34,7 @@ def plan_figure(arm: Arm, postures: Array) -> Figure:
     in_space, (up, around) = arm.chain.projection is not None, side(arm)
     views = {"front": (up, around), "aside": (up, around + 90.0)} if in_space else {"front": None}
     # its margins know nothing of labels in space
-    layout = ConstrainedLayoutEngine(rect=(0.03, 0.0, 0.94, 1.0))
+    layout = ConstrainedLayoutEngine(rect=(0.03, 0.0, 0.94, 1.0), wspace=0.15 if in_space else 0.02)
     figure = Figure(figsize=(10.0, 8.6 if in_space else 4.6), layout=layout)
     axes: Any = figure.subplot_mosaic(
         [["front", "aside"], ["joints", "joints"]] if in_space else [["front", "joints"]],
@@ -51,7 +51,11 @@ def plan_figure(arm: Arm, postures: Array) -> Figure:
             # of the arm: a tracker may be far from it
             limits = np.array([axes[name].get_xlim(), axes[name].get_ylim(), axes[name].get_zlim()])
             axes[name].set(xlim=limits[0], ylim=limits[1], zlim=limits[2])
-            axes[name].set_box_aspect(limits[:, 1] - limits[:, 0], zoom=0.95)  # the same scale on all axes
+            sizes = limits[:, 1] - limits[:, 0]
+            axes[name].set_box_aspect(sizes, zoom=0.95)  # the same scale on all axes
+            for axis, size in zip("xyz", sizes.tolist(), strict=True):  # labels of a short one would overlap
+                axes[name].locator_params(axis, nbins=max(round(5.0 * size / sizes.max()), 2))
+            axes[name].zaxis.labelpad = 2.0
         draw_constraints(axes[name], arm)
     first = "; bodies as in the first" if in_space and arm.cell is not None else ""
     figure.suptitle(f"{count}{', from two sides' * in_space}{first}", fontsize=9)

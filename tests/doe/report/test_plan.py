@@ -18,7 +18,7 @@ from doe.discrimination.t_optimal import NextPostures
 from doe.plan.accuracy import missing_effects, robust_problem
 from doe.report.figures import outlines, plan_figure, scene, side
 from doe.report.plan import plan_section, plan_steps
-from identification import Arm, Conditions, Gravity, Model, Plan, design_model
+from identification import Arm, Conditions, DHRow, Gravity, Model, Plan, chain_of, design_model
 from identification.document import Pictures
 from identification.kinematics.parameters import PRISMATIC
 from identification.workspace import Body, Cell, KeepOut, LineOfSight, WorkspaceBox
@@ -186,6 +186,15 @@ def test_a_floor_without_bodies_is_drawn() -> None:
     views = [axes for axes in plan_figure(arm, POSTURES[:2]).axes if axes.name == "3d"]
     assert all(view.get_zlim()[0] <= -50.0 for view in views)
     assert scene(design_model(Model(arm)), POSTURES[:2], {})["bodies"] == []
+
+
+def test_a_short_axis_has_few_labels() -> None:
+    """Those of a SCARA's heights, of which five overlapped."""
+    table = [DHRow(325.0, 0.0, 300.0), DHRow(275.0, np.pi, 0.0), DHRow(0.0, 0.0, 20.0)]
+    for view in (axes for axes in plan_figure(Arm(chain_of(table)), POSTURES[:20, :3]).axes if axes.name == "3d"):
+        low, high = view.get_zlim()
+        assert high - low < 0.5 * np.ptp(view.get_xlim())
+        assert 2 <= sum(low <= tick <= high for tick in view.get_zticks()) <= 3
 
 
 def test_slides_and_turning_joints_are_drawn_between_their_limits() -> None:
