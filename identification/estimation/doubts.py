@@ -14,7 +14,7 @@ from identification.arrays import Array, rows_in_words
 from identification.documents.identification import reading_unit
 from identification.estimation.problem import Problem
 from identification.estimation.uncertainty import LEVEL, WhiteRows, decomposed_groups
-from identification.information import ALONE, spectrum
+from identification.information import ALONE
 from identification.inspection.readings import DRAWN, read_differently
 from identification.kinematics.chain import ROTATION_ERROR, TOOL, TRANSLATION_ERROR
 from identification.kinematics.counting import turned_into
@@ -336,17 +336,16 @@ def left_out_residuals(fit: Identification, measurements: Measurements) -> Array
     """
     if fit.not_identifiable or len(measurements) != len(fit.residuals_after):
         return None
-    problem = Problem.of(fit.model, measurements, prior=fit.prior)
+    free, held = [name not in fit.held for name in fit.names], {name: fit.values[name] for name in fit.held}
+    model = replace(fit.model, held={**(fit.model.held or {}), **held}) if held else fit.model
+    problem = Problem.of(model, measurements, prior=fit.prior)
     problem = replace(problem, noise=(fit.scatter or 0.0) / (problem.sigma or 1.0))
-    rows = WhiteRows.of(problem, measurements, fit.parameters)
-    free = np.array([name not in fit.held for name in fit.names])
-    jacobian = rows.jacobian[..., free]
-    columns = jacobian @ spectrum(jacobian, fit.model.scales[free], prior=problem.prior_rows[:, free]).root
-    pull = np.empty((int(rows.postures.max()) + 1, columns.shape[2]))
-    for alike, leverages, vectors, scores in decomposed_groups(columns, rows.residual, rows.postures):
+    rows = WhiteRows.of(problem, measurements, fit.parameters[free])
+    pull = np.empty((int(rows.postures.max()) + 1, rows.columns.shape[2]))
+    for alike, leverages, vectors, scores in decomposed_groups(rows.columns, rows.residual, rows.postures):
         if leverages.max() > 1.0 - ALONE:
             return None
         pull[alike] = ((scores / (1.0 - leverages))[:, None, :] @ vectors)[:, 0]
-    without = rows.residual + np.einsum("mdr,mr->md", columns, pull[rows.postures])
+    without = rows.residual + np.einsum("mdr,mr->md", rows.columns, pull[rows.postures])
     kept = problem.weights > 0.0
     return np.asarray((without / problem.root_weights[kept])[np.cumsum(kept)[measurements.originals] - 1])
