@@ -13,7 +13,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from functools import wraps
+from functools import cache, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NewType, ParamSpec
 
@@ -366,6 +366,7 @@ def identify_files(
             lines.append(f"Not fitted with the prior of the library, {why}.")
     require(missing is None or prior, "--missing: found without --library-prior, allowed: with --library-prior")
 
+    @cache  # asked for again, for what is said of it
     def library(rows: Measurements) -> LibraryPrior | None:
         return library_prior(with_sessions(bare, rows), rows, missing) if prior else None
 

@@ -158,7 +158,7 @@ class Identification(Documented, ReadOnly):
         follows = "rely on sigma_mm and are too narrow" if rely else "do not rely on sigma_mm"
         return f"{scatter} ({figures}): {cause}. The intervals {follows}; {do}"
 
-    @property
+    @cached_property
     def warnings(self) -> tuple[str, ...]:
         """Warnings to be read before the results."""
         without_prior = [p for p in getattr(self.model, "parameters", ()) if p.name not in self.prior.names]
