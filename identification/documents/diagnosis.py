@@ -129,9 +129,9 @@ def findings(data: Data) -> list[str]:
     """What belongs to the verdict, in sentences: a shape, scatter that is not explained, sessions."""
     lines = [f"Its shape: {data['shape']}."] if data["shape"] and not is_described(data) else []
     if (misfit := data["misfit"]) and misfit["significant"]:
-        noise = any(finding["finding"] != "repeats" for finding in data["scatter"])
-        unexplained = "" if noise else ", which nothing here explains"
-        lines.append(f"The residuals scatter by {misfit['ratio']:.3g} x sigma_mm{unexplained}.")
+        shared = [finding["finding"] == "repeats" for finding in data["scatter"]]
+        why = (": rows of one posture share an error" if shared else ", which nothing here explains") * all(shared)
+        lines.append(f"The residuals scatter by {misfit['ratio']:.3g} x sigma_mm{why}.")
     elif (data.get("confirmation") or {}).get("beyond_sigma"):
         lines.append("On the held-out rows the residuals are larger than sigma_mm explains.")
     for answer, says in ((True, "Replicates"), (False, "Does not replicate")):
@@ -168,7 +168,8 @@ def effects_in_words(labels: Sequence[str]) -> str:
             whose = f" of {of_joints(sorted(map(int, joints)))}" if "" not in joints else ""
             listed = f"{kind}{whose}{f', {len(alike)} in all' if len(alike) > len(joints) else ''}"
         phrases.append(f"{library()[kind].summary} ({listed})" if kind in library() else listed)
-    return "; ".join([*phrases[:MOST], *([f"and {len(phrases) - MOST} more kinds"] if len(phrases) > MOST else [])])
+    rest = [f"and {count_of(len(phrases) - MOST, 'more kind')}"] if len(phrases) > MOST else []
+    return "; ".join([*phrases[:MOST], *rest])
 
 
 def shrinks(data: Data) -> bool:
@@ -226,8 +227,9 @@ def diagnosis_actions(
         apart = " ".join(["armcal discriminate", arm, *rows, "--runs 6 --out next.csv"])
         measure = Action("Measure the postures that tell the explanations apart:", apart)
         return [measure, Action("Add the new rows to the data, and diagnose again:", again)]
-    if fits.hardly_better(data):
-        use = Action(f"Use the calibration of the geometry{joined}, until more rows tell which is better:", alone)
+    # better by chance perhaps is better still: of simulated arms the geometry alone was farther off in all such cases
+    if (offered := data.get("offered")) and offered["rms_mm"] >= offered["rms_geometry_mm"]:
+        use = Action(f"Use the calibration of the geometry{joined}, unless other rows show that it is worse:", alone)
         return [use, fits.correct("calibrated.toml"), confirm]
     actions = [] if data["confirmation"] and data["confirmation"]["confirmed"] else [confirm]
     if data["verdict"] == "unknown":

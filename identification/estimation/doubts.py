@@ -14,7 +14,7 @@ from identification.arrays import Array, rows_in_words
 from identification.documents.identification import reading_unit
 from identification.estimation.problem import Problem
 from identification.estimation.uncertainty import LEVEL, WhiteRows, decomposed_groups
-from identification.information import ALONE
+from identification.information import ALONE, spectrum
 from identification.inspection.readings import DRAWN, read_differently
 from identification.kinematics.chain import ROTATION_ERROR, TOOL, TRANSLATION_ERROR
 from identification.kinematics.counting import turned_into
@@ -52,8 +52,8 @@ def doubts_of_fit(
     read, hidden = misread(arm, measurements) if rms_distance(before) > DRAWN * arm.reach else ([], False)
     bad = [*(read if hidden else []), *bad, *flipped(model, x, identifiable)]
     others = [] if hidden else (read and far_zeros(model, x)) or read
-    others += [*another_frame(model, measurements), *outside_limits(arm, measurements), *copied_rows(measurements)]
-    others += payload_of_several(model, measurements)
+    others += [*another_frame(model, measurements), *moved_points(model, x, residual, measurements)]
+    others += [*outside_limits(arm, measurements), *copied_rows(measurements), *payload_of_several(model, measurements)]
     others += only_rounding(residual, model, measurements) if residual.size > x.size else []
     return (*bad, *others), bool(bad)
 
@@ -186,6 +186,27 @@ def another_frame(model: Model, measurements: Measurements) -> list[str]:
         return []
     fall = f"the RMS falls from {before:.4g} to {after:.4g} mm if the position of the base is estimated, too"
     return [f'{OTHER_FRAME}: {fall}; add [[effects]] name = "base_offset" to the arm file']
+
+
+def moved_points(model: Model, x: Array, residual: Array, measurements: Measurements) -> list[str]:
+    """That measured points were mounted again between sessions under the same names, where the residuals (m, d) of a
+    fit fall by a large factor if each session has its own."""
+    session, column = measurements.numbers("session"), model.arm.chain.point_column
+    points = [k for k, p in enumerate(model.parameters) if p.kind == TOOL]
+    if not np.ptp(session) or not points or not column:
+        return []
+    jacobian = model.jacobian(measurements.postures, x, measurements.conditions)
+    own = [jacobian[:, :, points] * (session == number)[:, None, None] for number in np.unique(session)[1:]]
+    scales = np.concatenate([model.scales, *[model.scales[points]] * len(own)])
+    tables = (columns.reshape(residual.size, -1) for columns in (jacobian, np.concatenate([jacobian, *own], axis=2)))
+    bases = [table @ spectrum(table, scales[: table.shape[1]]).root for table in tables]
+    held, free = (float(np.sum(np.square(residual.ravel() - q @ (q.T @ residual.ravel())))) for q in bases)
+    fewer, more = (q.shape[1] for q in bases)
+    if not worth_freeing(held, free, more - fewer, residual.size - more, FALL**2):
+        return []
+    before, after = (f"{np.sqrt(squares / len(residual)):.4g}" for squares in (held, free))
+    fall = f"the RMS falls from {before} to {after} mm if each session has its own"
+    return [f"measured points moved between sessions: {fall}; give them another name (column {column}) in each session"]
 
 
 def lacking(model: Model, measurements: Measurements) -> list[str]:

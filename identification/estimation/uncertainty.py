@@ -341,6 +341,17 @@ def outlying(residual: Array, blocks: Array, moment: Array | float = 0.0) -> NDA
     return np.zeros(m, dtype=bool)
 
 
+def left_out(columns: Array, values: Array, used: NDArray[np.bool_]) -> Array:
+    """(m, d) values less those that a fit puts there to all other rows that are used.
+
+    columns : (m, d, k) orthonormal in the rows used, together with rows of a prior around zero
+    """
+    own = columns * used[:, None, None]
+    fitted = columns @ np.einsum("mdk,md->k", own, values)
+    rest = (1.0 + 1e-9) * np.eye(values.shape[1]) - own @ own.transpose(0, 2, 1)
+    return np.asarray(np.linalg.solve(rest, (values - fitted)[..., None])[..., 0])
+
+
 def studentised(residual: Array, blocks: Array, moment: Array | float = 0.0) -> Generator[Array, Groups | None]:
     """Yields (m,) squared residuals of rows of residual (m, d) in units of their own covariance and of the robust scale
     of the kept rows, after a fit to these; 0 of the others. Rows whose numbers are sent are taken out.

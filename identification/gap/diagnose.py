@@ -5,23 +5,15 @@ from dataclasses import replace
 import numpy as np
 
 from identification.arm import Arm
-from identification.arrays import Array, readonly
+from identification.arrays import readonly
 from identification.documents.diagnosis import remarks
-from identification.errors import InputError
-from identification.estimation.doubts import (
-    another_frame,
-    copied_rows,
-    far_off,
-    flipped,
-    lacking,
-    misread,
-    outside_limits,
-)
+from identification.errors import InputError, require
+from identification.estimation.doubts import copied_rows, doubts_of_fit, lacking
 from identification.estimation.problem import check_measurements
-from identification.estimation.repeats import Finding, Misfit, misfit, noise_floor, repeat_finding
+from identification.estimation.repeats import Finding, misfit, noise_floor, repeat_finding
 from identification.estimation.uncertainty import outlying, together
 from identification.gap.across_sessions import replications
-from identification.gap.average import PredictingModel, averaged, geometry
+from identification.gap.average import averaged, geometry
 from identification.gap.blocks import hypotheses
 from identification.gap.confirmation import Gap, HeldOut, cross_validation
 from identification.gap.detectability import assess, look_alikes, require_spare
@@ -77,29 +69,22 @@ def diagnose(
     )
     progress(0.7, 1.0, "step 3 of 3: fits, tests on other rows")
     rows, best, whole, numbers = posterior.at.rows, posterior.best, posterior.whole, numbers + 1
-    kept = np.ones(len(rows), dtype=bool)
-    kept[[b.row for b in best.blocks if b.row is not None]] = False
+    kept = ~np.isin(np.arange(len(rows)), [b.row for b in best.blocks if b.row is not None])
     if not kept.all():
         base = fit(library.base, rows.pick(kept))
     shows = whole.beside([whole.numbers[block.label] for block in best.blocks if block.row is not None])
 
-    def against_sigma(model: PredictingModel, left: Array) -> tuple[PredictingModel, Misfit | None]:
-        """A model with what nothing explains as an error of its own elsewhere, and the test of what it leaves."""
-        over = misfit(left, left[kept].size - model.freedom, measurements, library.arm.sigma, kept)
-        if over is not None and over.significant:
-            model = model.allowing(rows.dimension * model.sigma**2 * (1.0 - over.ratio**-2))
-        return model, over
-
     # what predicts best, and what it leaves
     predicting, bend, posterior = averaged(posterior, int(kept.sum()) * rows.dimension)
     before, after = base.residuals(measurements), predicting.residuals(measurements)
+    drawn = measurements.positions - base.model.position(measurements.postures, None, measurements.conditions)
     # an average that is too far from linear may be worse than the geometry in its own rows
     weighted = posterior.noises[best.noise].rows.pick(kept)
     with_all, without = (float(np.linalg.norm(weighted.whiten(left[kept]))) for left in (after, before))
     if alone := bool(predicting.specs) and with_all > without:
         predicting, after = geometry(base), before
     repeats = repeat_finding(after, after[kept].size - predicting.freedom, measurements, kept)
-    predicting, over_sigma = against_sigma(predicting, after)
+    over_sigma = misfit(after, after[kept].size - predicting.freedom, measurements, library.arm.sigma, kept)
     # residuals that scatter less than the given sigma by chance, as in `estimation.uncertainty`, promise no less noise
     noise_factor = 1.0 if over_sigma is None or over_sigma.p_value > 0.99 else max(1.0, over_sigma.ratio**-2)
 
@@ -128,11 +113,14 @@ def diagnose(
     # tests on other rows
     tests = cross_validation(posterior, measurements, kept, generator, something, noise_factor, bend)
     if tests[0].shrinks is False and tests[0].after_mm > tests[0].before_mm:  # by more than chance
-        alone, after = True, before
-        predicting, over_sigma = against_sigma(geometry(base), before)
+        alone, predicting, after = True, geometry(base), before
+        over_sigma = misfit(after, after[kept].size - predicting.freedom, measurements, library.arm.sigma, kept)
     judged = base, predicting, measurements, kept, something, noise_factor
     confirmation = None if held_out is None else held_out.test(*judged)
     figures = () if confirmation is None else (confirmation.before_mm, confirmation.after_mm, confirmation.predicted_mm)
+    # what nothing explains counts as noise in measured rows, and as an error of its own in where the tip really is
+    if over_sigma is not None and over_sigma.significant:
+        predicting = predicting.allowing(rows.dimension * predicting.sigma**2 * (1.0 - over_sigma.ratio**-2))
 
     # what these rows show
     sigma = library.arm.sigma if measurements.sigma is None else measurements.sigma[kept]
@@ -174,11 +162,7 @@ def diagnose(
         confirmation=confirmation,
         cross_validation=tests,
         warnings=(
-            *misread(library.arm, measurements)[0],
-            *far_off(after[kept], fitted.model),
-            *flipped(fitted.model, fitted.values, np.ones(len(fitted.values), dtype=bool)),
-            *another_frame(Model(library.arm), measurements),
-            *outside_limits(library.arm, measurements),
+            *doubts_of_fit(base.model, base.values, np.ones(len(base.values), bool), drawn, before, measurements)[0],
             *(f"hold-out: {one}" for one in ([] if held_out is None else lacking(predicting.model, held_out.rows))),
             *copies,
         ),
@@ -212,9 +196,8 @@ def check_input(arm: object, measurements: Measurements, holdout: Measurements |
         raise InputError(f"holdout: found {what} {min(new)!r}, allowed: {names}, as in the data; or armcal validate")
     if holdout.links != measurements.links:
         raise InputError(f"holdout: {holdout.links} joints, allowed: {measurements.links} as in the data")
-    if holdout.dimension != measurements.dimension:
-        other, needed = holdout.dimension, measurements.dimension
-        raise InputError(f"holdout: positions of {other} coordinates, allowed: {needed} as in the data")
+    other, needed = holdout.dimension, measurements.dimension
+    require(other == needed, f"holdout: positions of {other} coordinates, allowed: {needed} as in the data")
     data, rows = (np.column_stack([d.postures / 1e-5, d.positions / 1e-3]) for d in (measurements, holdout))
     distance = KDTree(data).query(rows, p=np.inf)[0]
     shared, near = int(np.sum(distance == 0.0)), int(np.sum(distance <= 1.0))

@@ -114,11 +114,10 @@ class Rows:
             taken = (1.0 - (1.0 + counts * self.shared) ** -0.5) / counts
             values = values - (sums * taken[:, None, None])[numbers]
         if self.correlation:  # from each row what the previous one predicts, for a first-order autoregression
-            rho, sequence = self.correlation, self.sequence
-            order = slice(None) if np.array_equal(sequence, np.arange(len(sequence))) else sequence
+            rho, order = self.correlation, self.sequence
             ordered = values[order] / np.sqrt(1.0 - rho**2)
             ordered[1:] -= rho * ordered[:-1]
-            ordered[0] = values[order][0]
+            ordered[0] = values[order[0]]
             values = np.empty_like(values)
             values[order] = ordered
         return values.reshape(-1, *shape[2:])

@@ -177,8 +177,8 @@ class Candidate:
         effects = model.effects[len(model.effects) - added :]  # the arm's own come first
         names = {p.name for effect in effects for p in effect.parameters}
         deviations = np.sqrt(np.maximum(np.diag(sure.covariance), 0.0))  # of a perfect fit
-        deviations = np.where(parts.identifiable, deviations, np.nan)  # gravity has no moment about a vertical axis
-        values = np.where(parts.identifiable, fitted.values, np.nan)
+        # gravity has no moment about a vertical axis
+        values, deviations = np.where(parts.identifiable, [fitted.values, deviations], np.nan)
         limits = limits_95(model.parameters, values, deviations, sure.freedom)
         figures = zip(model.parameters, np.column_stack([values, deviations, limits]), strict=True)
         return cls(

@@ -17,15 +17,17 @@ from functools import cached_property
 from math import lgamma
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import logsumexp, softmax, zeta
 
 from identification.arrays import Array
 from identification.estimation.uncertainty import LEVEL_95 as LEVEL
-from identification.estimation.uncertainty import together
+from identification.estimation.uncertainty import left_out, together
 from identification.gap.blocks import Block, Library, Linearized, linearized
 from identification.gap.fit import Fitted, Rows, fit
 from identification.gap.likelihood import SIZES, Key, Products, State
 from identification.gap.noise import NoiseModel, log_likelihoods, noises
+from identification.information import VISIBLE, spectrum
 
 TAIL = 3.0  # prior: p(K) ~ K^-TAIL, so p(2) / p(1) = 1/8, but p(15) / p(14) = 0.81: many effects suggest further ones
 WRONG = 0.0005  # prior odds of a row to be outlying: clean sessions of 60 rows seldom lose one, 15 sigma always show
@@ -38,7 +40,7 @@ CREDIBLE = 0.9  # convention: probability of the credible set
 LEAST = 1e-5  # numerical: probability of a set that is kept
 ROUNDING = 1e-6  # numerical: of a log likelihood
 MOST_ROWS = 1250  # effort: rows that are searched for any effect
-PASSES = 3  # effort: linearizations, passes of a climb, and kinds of noise
+PASSES = 6  # effort: linearizations, passes of a climb, and kinds of noise
 
 _OCTAVES = np.subtract.outer(np.arange(len(SIZES)), np.arange(len(SIZES)))
 # derived: (S, S) p(s | c) of a size, by column, around a common one
@@ -317,13 +319,15 @@ def posterior_of(
     """
     few = rows if len(rows) <= MOST_ROWS else rows.pick(np.sort(generator.permutation(len(rows))[:MOST_ROWS]))
     at, noise, names, chosen = fit(library.base, few), ("", 0.0), set[str](), dict[str, int]()
+    kept = np.ones(len(few), dtype=bool)
     for turn in range(1, PASSES + 1):
         tell(f"pass {turn}")
         here = at.on(few)
-        # rows whose residual is large, and that do not come together as whole postures or neighbors do
-        left = np.sqrt(np.mean(np.square(here.residual.reshape(len(few), -1)), axis=1))
-        limit, far = 3.0 * float(np.median(left)) / 0.83, np.zeros(len(few), dtype=bool)  # robust standard deviations
-        far[[k for k in np.argsort(-left, kind="stable")[:30] if left[k] > limit]] = True  # 30, as 3 above: effort
+        y, base = library.as_base(here)
+        # rows that are far from where the others put them (3 robust standard deviations and 30 rows at most: effort),
+        # and do not come together as whole postures or neighbors do
+        left = _left_out(here, y, base, kept)
+        far = left > max(3.0 * float(np.median(left)) / 0.83, np.sort(left)[-31:][0])
         wrong = np.flatnonzero(far & ~together(far, few.postures, few.posture_numbers)).tolist()
         every = [n for n in noises(here) if not names or n.name in names]
         number = next(k for k, n in enumerate(every) if (n.name, n.size) == noise)
@@ -336,7 +340,6 @@ def posterior_of(
         effects = [problem.blocks[b] for b in top.blocks if problem.blocks[b].listed]
         # the set with the odds of each noise, in units of the noise that was searched: with nothing, with the set, and
         # with the outlying rows of the set alone, which noise of another kind may need, too
-        y, base = library.as_base(here)
         jacobian, each = here.linearized[1], []
         rows_only = [pair for pair in top.key if problem.blocks[pair[0]].row is not None]
         for key in dict.fromkeys([(), top.key, tuple(rows_only)]):
@@ -367,7 +370,7 @@ def posterior_of(
                     chosen = {label: size for label, size in chosen.items() if label not in families}
         wider = library.with_further_orders(at.on(every[best].rows), effects)
         if few is not rows and turn == PASSES - 1:
-            few, at = rows, fit(at.model, rows, at.by_name)
+            few, at, kept = rows, fit(at.model, rows, at.by_name), np.ones(len(rows), dtype=bool)
             names = {noise[0], *(every[k].name for k in likely)}
         elif settled and wider is library and few is rows:
             break
@@ -399,6 +402,17 @@ def posterior_of(
         explanations.append(Explanation(blocks, key, which, float(probabilities[i])))
     models = tuple(every[k] for k in taken)
     return Posterior(tuple(explanations), models, tuple(problems), tuple(draws), problem, library, at.on(rows))
+
+
+def _left_out(here: Fitted, y: Array, base: Sequence[int], used: NDArray[np.bool_]) -> Array:
+    """(m,) by how much each row is off from where the others put it that a fit used. Effects are held at zero as
+    loosely as can be seen: what a row determines by itself, as one between two steps does, the others put half way.
+    y, base : as of `Library.as_base`"""
+    jacobian = here.jacobian.reshape(*y.shape, -1)
+    hold = np.sqrt(VISIBLE) * np.linalg.norm(jacobian, axis=(0, 1))
+    hold[base] = 0.0
+    columns = jacobian @ spectrum(jacobian[used], here.model.scales, prior=np.diag(hold)).root
+    return np.asarray(np.linalg.norm(left_out(columns, here.rows.whiten(y).reshape(y.shape), used), axis=1))
 
 
 def _same_set(problem: Linearized, chosen: dict[str, int]) -> State:

@@ -176,7 +176,8 @@ def _problems(
     rows = np.arange(len(measurements)) + 1
     if fit is not None and not sentences:
         unexplained = (np.isin(rows, numbers) for numbers in (fit.outlier_rows, fit.unexplained_rows))
-        sentences = doubts.far_rows(fit.residuals_after, measurements, arm, *unexplained)
+        sentences = doubts.moved_points(fit.model, fit.parameters, fit.residuals_after, measurements)
+        sentences = sentences or doubts.far_rows(fit.residuals_after, measurements, arm, *unexplained)
         sentences = sentences or other_distances(arm, measurements, fit)
         # far from the rows of one arm, where noise is not the reason: effects that are not in the model leave less than
         # 1 % of the reach, a fit that explains something less than 80 % of what the drawing leaves

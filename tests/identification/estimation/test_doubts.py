@@ -11,7 +11,9 @@ import pytest
 from identification import Arm, DHRow, EffectSpec, Measurements, Model, Status, chain_of, estimate
 from identification.arm import Machining
 from identification.estimation.doubts import FAR, another_frame, far_rows, flipped, outside_limits, payload_of_several
+from identification.inspection.inspection import inspect
 from identification.instruments import Tracker
+from identification.model.placed import with_sessions
 from tests.identification.estimation.cases import LENGTHS, SIGMA, TRUTH, arm, data, plan, scipy_fit
 from tests.identification.inspection.test_inspection import points
 from tests.small_arm import drawn_arm
@@ -131,6 +133,21 @@ def six_axes(m: int = 40, spread: float = 0.5) -> Measurements:
     q = generator.uniform(-spread, spread, (m, 6)) + np.array([0.4, -1.0, 1.2, -0.7, 0.9, 0.3])
     seen = points(q + np.radians([0.0, 0.1, -0.1, 0.05, 0.1, -0.1]), np.array([40.0, 30.0, 60.0]), TABLE)
     return Measurements(q, seen + np.array([900.0, -300.0, 200.0]) + generator.normal(0.0, 0.05, (m, 3)))
+
+
+@pytest.mark.parametrize(("shift", "names", "said"), [(1.0, "AA", True), (1.0, "AB", False), (0.0, "AA", False)])
+def test_a_reflector_that_was_mounted_again_is_to_have_another_name(shift: float, names: str, said: bool) -> None:
+    rows, half = six_axes(), 20
+    here, there = (points(rows.postures[half:], np.array([x, 30.0, 60.0]), TABLE) for x in (40.0, 40.0 + shift))
+    positions = rows.positions + np.vstack([np.zeros((half, 3)), there - here])
+    labels = {key: np.repeat([*of], half) for key, of in (("session", "12"), ("marker", names))}
+    rows = replace(rows, positions=positions, **labels)
+    drawn = Arm(CHAIN)
+    doubts = estimate(Model(with_sessions(drawn, rows)), rows).doubts
+    for sentences in (doubts, inspect(drawn, rows).problems):
+        moved_points = [sentence for sentence in sentences if sentence.startswith("measured points moved")]
+        assert len(moved_points) == said
+    assert not said or "(column marker)" in moved_points[0]
 
 
 def test_swapped_columns_are_said_where_the_fit_hides_them() -> None:

@@ -200,6 +200,14 @@ def test_sigma_of_the_data_sheet_does_not_decide() -> None:
     assert any("times the sigma_mm" in note for note in nothing.notes)
 
 
+def test_a_sigma_that_is_too_small_makes_the_promise_for_held_out_rows_no_larger() -> None:
+    """Of a kind with the rows they leave as much, whatever sigma says of it: 800 numbers, which scatter by 4 %."""
+    data, more = (measured(None, seed, 200) for seed in (1, 2))
+    for sigma in (0.05, 0.02):
+        gap = diagnose(replace(ARM, sigma=sigma), data, more).gap
+        assert gap.predicted == pytest.approx(gap.held_out_after, rel=0.12)
+
+
 def test_a_sigma_of_the_rows_decides_that_something_is_missing() -> None:
     """Four times as much as it is left, which no set explains: nothing is missing at most with chi-square's p."""
     stated = diagnose(ARM, replace(measured(None), sigma=np.full(60, 0.005)))
@@ -221,6 +229,16 @@ def test_outliers_are_listed_and_left_out_and_many_far_rows_are_structure() -> N
     assert (bumped.verdict, [spec.key for spec in bumped.named.specs]) == ("named", ["base_step"])
     assert bumped.named.specs[0].values["at"] == pytest.approx(11.5 / 59 - 0.5, abs=1e-6)
     assert bumped.outlier_rows == ()
+
+
+@pytest.mark.parametrize("row", [28, 30])
+def test_a_row_that_stands_out_beside_a_step_is_an_outlier_and_no_further_steps(row: int) -> None:
+    """The base jumps by 40 sigma after row 30, and a fit with two more steps would follow the row exactly."""
+    data = measured(None)
+    positions = data.positions + 2.0 * (np.arange(60) > 30)[:, None]
+    positions[row] += [0.8, -0.8]
+    named = diagnose(ARM, replace(data, positions=positions))
+    assert ([spec.key for spec in named.named.specs], named.outlier_rows) == (["base_step"], (row + 1,))
 
 
 def test_bad_input() -> None:
