@@ -176,10 +176,11 @@ class Design(PlanOfProblem):
         """How good the plan is, in a sentence or two."""
         runs, bound = count_of(len(self.plan), "run"), self.bound
         optimal = f", {self.optimality_in_words}" if self.certified_optimal else ""
+        least = "at least " if bound is not None and bound.cut else ""  # a search to its end lowers the bound
         criterion = f"{self.problem.criterion.name}{optimal}"
         if not (error := self.expected_error):
             why = self.no_efficiency
-            efficiency = f"no efficiency: {why}" if why else f"an efficiency of {self.efficiency:.4f}"
+            efficiency = f"no efficiency: {why}" if why else f"an efficiency of {least}{self.efficiency:.4f}"
             return f"The plan of {runs} has {efficiency} ({criterion})."
         sentence = f"The plan of {runs} (criterion {criterion}) has an expected tip error of "
         listed = self.problem.choices is not None and not self.problem.sampled
@@ -196,7 +197,7 @@ class Design(PlanOfProblem):
         if self.problem.beyond:
             shared = in_a_sentence(float(np.sqrt(self.problem.beyond)))
             judge += f" No plan can reduce {shared} mm RMS of this error; the efficiency leaves it out."
-        return f"{sentence}. Efficiency {self.efficiency:.4f}. {judge}"
+        return f"{sentence}. Efficiency {least}{self.efficiency:.4f}. {judge}"
 
     def _facts(self) -> Sheet:
         """Value, bound, efficiency; of criterion I not its own scale, which says nothing more than the millimetres."""

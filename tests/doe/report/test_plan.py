@@ -55,6 +55,8 @@ def test_a_plan_in_a_sentence() -> None:
         )
 
     assert verdict(efficiency=0.98765) == "The plan of 20 runs has an efficiency of 0.9877 (D)."
+    cut = Bound(-9.0, "continuous", False, cut=True)
+    assert verdict(efficiency=0.44, bound=cut) == "The plan of 20 runs has an efficiency of at least 0.4400 (D)."
     assert verdict("D", "no bound is known") == "The plan of 20 runs has no efficiency: no bound is known (D)."
     listed = Bound(-9.0, "grid", True, candidates=2000)
     share = (0.0808**2 - 0.05**2) / (0.158**2 - 0.05**2)
