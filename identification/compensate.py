@@ -144,8 +144,9 @@ def compensate(
         margins, pairs = each.margin(commands), getattr(each, "pairs", ())
         for k in np.flatnonzero(margins.min(axis=1, initial=np.inf) < -TOLERANCE).tolist():
             worst = int(np.argmin(margins[k]))
-            name = f"{each.kind} of {' and '.join(pairs[worst])}" if pairs else each.kind
-            missed[k].append(f"constraint {order} ({name}) is missed by {-margins[k, worst]:.4g} mm")
+            by = f"{-margins[k, worst]:.4g} mm"
+            of_bodies = f"{' and '.join(pairs[worst])} are {by} too close to each other" if pairs else ""
+            missed[k].append(of_bodies or f"constraint {order} ({each.kind}) is missed by {by}")
     barred = tuple("; ".join(clauses) for clauses in missed)
     if where.directions is not None:
         commands = commands - arm.servo_shift(where.directions)

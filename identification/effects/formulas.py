@@ -199,7 +199,7 @@ of_step(
 )
 of_step(
     "base_step",
-    "base or tracker jumps at some time: + (x, y), in space + (x, y, z), on one side of a time",
+    "base or instrument jumps at some time: + (x, y), in space + (x, y, z), on one side of a time",
     lambda self: each(self.chain.axes, "mm", 0.1),  # typical: as of `link_step`
     # side 1: for t > at, -1: for t < at; where the model has no `base_offset` that is not the same
     settings={"at": replace(STEP, values=Scope.step_times_within), "side": Setting(-1, 1, (-1.0, 1.0), whole=True)},
@@ -361,7 +361,7 @@ add_effect(
 )
 of_time(
     "base_drift",
-    "base or tracker creeps during the session: + (vx, vy) t, t = -0.5..0.5; in space + (vx, vy, vz) t",
+    "base or instrument creeps during the session: + (vx, vy) t, t = -0.5..0.5; in space + (vx, vy, vz) t",
     # typical: creep of tripods, floors and warming frames in an hour or two
     lambda self: each([f"v{axis}" for axis in self.chain.axes], "mm/session", 0.05),
     once=True,
@@ -369,7 +369,7 @@ of_time(
 )
 of_time(
     "base_rotation_drift",
-    "base or tracker turns during the session: by w t, t = -0.5..0.5; in space by (wx, wy, wz) t",
+    "base or instrument turns during the session: by w t, t = -0.5..0.5; in space by (wx, wy, wz) t",
     lambda self: each(self.chain.turn_names, "rad/session", 5e-5, REACH),  # typical: as of `base_drift`, at 1 m
     once=True,
     base_rotation=lambda self, chain, values: values * chain.time,
