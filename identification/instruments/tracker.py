@@ -5,8 +5,9 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from identification.arrays import Array
 from identification.instruments.base import Coordinate, Instrument, Placement, Unplaced, registered
-from identification.kinematics.frames import nearest_rotation
+from identification.kinematics.frames import OF_QUATERNION
 from identification.kinematics.parameters import AXES
 
 ENOUGH = 1e-6  # relative fall of the sum of squares in a round, below which a least-squares fit goes on from here
@@ -39,25 +40,34 @@ class Tracker(Instrument):
             tool = np.einsum("mji,mj->i", frames[:, :3, :3], local - frames[:, :3, 3]) / len(frames)
         elif tool is None:
             p, turn, y = (a - a.mean(axis=0) for a in (frames[:, :3, 3], frames[:, :3, :3], measured))
-            m, tools = len(p), rows.tools[:7]
-            points, turns = y.T @ p / m, np.einsum("mk,mij->kij", y, turn) / m  # of y p^T (3, 3), of y_k R (3, 3, 3)
-            # of R^T p, of R^T R
+            m = len(p)
+            # means of y p^T (9,), of y_k R (9, 3), of R^T p (3,) and of R^T R (3, 3)
+            points, turns = (y.T @ p).ravel() / m, np.einsum("mk,mij->kij", y, turn).reshape(9, 3) / m
             along, gram = np.einsum("mji,mj->i", turn, p) / m, np.einsum("mji,mjk->ik", turn, turn) / m
             values, axes = np.linalg.eigh(gram)
             # what moves a point 1 mm from the flange's center by less than 0.01 mm (RMS) is lost in a drawing's errors
             inverse = (axes * np.divide(1.0, values, out=np.zeros(3), where=values > 0.01**2)) @ axes.T
-            squared, before = float(np.sum(p**2 + y**2)) / m, np.full(len(tools), np.inf)
+            # with the best tool for a base's rotation, of the products w (16) of a unit quaternion's entries, the mean
+            # square is c - 2 b w - w A w, A positive: each turn takes the w best for the slope b + A w, an eigenvector
+            best, mixed = points - turns @ inverse @ along, turns @ inverse @ turns.T
+            b, a = best @ OF_QUATERNION, OF_QUATERNION.T @ mixed @ OF_QUATERNION
+            constant = float(np.sum(p**2 + y**2)) / m - along @ inverse @ along
+
+            def best_for(slopes: Array) -> Array:
+                quaternions = np.linalg.eigh(slopes.reshape(-1, 4, 4))[1][..., -1]
+                return (quaternions[:, :, None] * quaternions[:, None]).reshape(-1, 16)
+
+            w = best_for((points + rows.tools[:7] @ turns.T) @ OF_QUATERNION)
             for _ in range(200):  # effort: turns of each start
-                rotations = nearest_rotation(points + np.einsum("kij,sj->ski", turns, tools))  # (s, 3, 3) of the base
-                crossed = np.einsum("ski,kij->sj", rotations, turns)
-                tools = (crossed - along) @ inverse
-                # (s,) mean squared distances left [mm^2]
-                squares = 2.0 * tools @ along + np.einsum("si,ij,sj->s", tools, gram, tools)
-                squares += squared - 2.0 * (np.einsum("ski,ki->s", rotations, points) + np.sum(crossed * tools, axis=1))
-                if np.all(squares > before * (1.0 - ENOUGH)):
+                slopes = b + w @ a
+                step = best_for(slopes) - w
+                w, change = w + step, step @ a
+                # (s,) mean squares [mm^2], and their falls, which as differences would be lost in rounding
+                squares = constant - np.sum((slopes + change + b) * w, axis=1)
+                falls = np.sum((2.0 * slopes + change) * step, axis=1)
+                if np.all(falls <= ENOUGH * squares.clip(min=1e-24 * constant)):
                     break
-                before = squares
-            tool = tools[np.argmin(squares)]
+            tool = inverse @ (turns.T @ OF_QUATERNION @ w[np.argmin(squares)] - along)
         points = frames[:, :3, 3] + frames[:, :3, :3] @ tool
         base = registered(points, measured) if base is None else base
         left = measured - (points @ base[:3, :3].T + base[:3, 3])[:, : measured.shape[1]]

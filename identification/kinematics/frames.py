@@ -104,11 +104,23 @@ def to_angles(rotations: Array) -> Array:
     return -roll_pitch_yaw(np.swapaxes(rotations, -1, -2))
 
 
+def _of_quaternion() -> Array:
+    """(9, 16) rotation matrices, by rows, of the products of the entries of a unit quaternion, the real part first."""
+    entries = np.zeros((3, 3, 4, 4))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        entries[i, i] = 2.0 * np.diag(np.eye(4)[0] + np.eye(4)[i + 1]) - np.eye(4)
+        entries[i, j, (i + 1, j + 1), (j + 1, i + 1)] = entries[j, i, (i + 1, j + 1), (j + 1, i + 1)] = 1.0
+        entries[i, j, (0, k + 1), (k + 1, 0)], entries[j, i, (0, k + 1), (k + 1, 0)] = -1.0, 1.0
+    return readonly(entries.reshape(9, 16))
+
+
+OF_QUATERNION = _of_quaternion()
+
+
 def from_quaternions(quaternions: Array) -> Array:
     """(m, 3, 3) rotation matrices of quaternions (m, 4), the real part first, of any length."""
-    real, vectors = quaternions[:, :1], quaternions[:, 1:]
-    sizes = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return turned(vectors * (2.0 * np.arctan2(sizes, real) / np.maximum(sizes, np.finfo(float).tiny)))
+    units = quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
+    return ((units[:, :, None] * units[:, None]).reshape(-1, 16) @ OF_QUATERNION.T).reshape(-1, 3, 3)
 
 
 def displacement(values: Mapping[str, float], names: Sequence[str]) -> tuple[Array, Array]:
