@@ -3,6 +3,7 @@
 import copyreg
 from collections.abc import Mapping
 from dataclasses import fields
+from functools import cache
 from itertools import accumulate
 from types import MappingProxyType
 from typing import Any
@@ -38,14 +39,19 @@ class ReadOnly:
     """
 
     def __post_init__(self) -> None:
-        data: Any = self
-        for each in fields(data):
-            kind, value = each.type, getattr(self, each.name)
-            if kind.startswith("Array") and value is not None:
-                is_copy = isinstance(value, np.ndarray) and not value.flags.writeable
-                object.__setattr__(self, each.name, value if is_copy else readonly(value))
-            elif kind.startswith("Mapping"):
-                object.__setattr__(self, each.name, MappingProxyType(dict(value)))
+        for name, is_array in _copied(type(self)):
+            value = getattr(self, name)
+            if not is_array:
+                object.__setattr__(self, name, MappingProxyType(dict(value)))
+            elif value is not None and (not isinstance(value, np.ndarray) or value.flags.writeable):
+                object.__setattr__(self, name, readonly(value))
+
+
+@cache
+def _copied(kind: Any) -> tuple[tuple[str, bool], ...]:
+    """Fields of a dataclass that hold arrays or mappings, and whether arrays."""
+    words = [(each.name, str(each.type)) for each in fields(kind)]
+    return tuple((name, word.startswith("Array")) for name, word in words if word.startswith(("Array", "Mapping")))
 
 
 class ByValue(ReadOnly):

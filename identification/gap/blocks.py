@@ -75,7 +75,7 @@ class Block:
         through = "" if effect.through in kinds else effect.through
         return cls(effect.label, place, weight / np.sqrt(arm.links if spec.joint else 1), effect, through)
 
-    @property
+    @cached_property
     def key(self) -> str:
         """`name` or `name:joint` of an effect, without the scanned setting; else its place."""
         return self.place if self.effect is None else self.effect.spec.key

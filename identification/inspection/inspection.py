@@ -93,7 +93,9 @@ def inspect(arm: Arm, measurements: Measurements) -> Inspection:
     (joints, ranges, notes), drawing = _ranges(arm, measurements.postures), readings.written.rms
     with suppress(InputError):  # too few rows for least squares
         drawing = rms_distance(drawing_residuals(arm, measurements))
-    if fit is not None and readings.better is None and (_asked(fit) or CLEARLY * fit.rms_after > drawing):
+    # what leaves no more than noise leaves nothing to doubt
+    no_better = fit is not None and (fit.p_value is None or fit.misfit) and CLEARLY * fit.rms_after > drawing
+    if fit is not None and readings.better is None and (no_better or _asked(fit)):
         closer = read_differently(arm, measurements, doubted=True)
         readings = closer if closer.explained else readings
     problems = units or _problems(arm, measurements, readings, drawing, fit)
