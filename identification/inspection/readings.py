@@ -21,7 +21,7 @@ from identification.errors import require
 from identification.instruments import Unplaced
 from identification.kinematics.chain import TOOL, KinematicChain
 from identification.kinematics.counting import Counting
-from identification.kinematics.frames import from_angles, to_angles
+from identification.kinematics.frames import to_angles
 from identification.kinematics.parameters import JOINT_OFFSET, PRISMATIC, REVOLUTE
 from identification.measurements import POINT, Measurements, rms_distance
 from identification.model import Model
@@ -441,13 +441,7 @@ def data_warnings(measurements: Measurements, arm: Arm) -> list[str]:
     # as it is drawn; with one measured point where it has several and the rows name none
     chain = arm.chain.one_unnamed(measurements.marker_names)
     model, missed = Model(replace(arm, chain=chain, effects=(), calibration=None)), dict[str, float]()
-    fixed_axes = np.swapaxes(from_angles(-to_angles(turns)), -1, -2)
-    for name, read in {
-        "": turns,
-        "angles about fixed axes": fixed_axes,
-        "the instrument in the frame of the tool": np.swapaxes(turns, -1, -2),
-        "the instrument in the frame of the tool, by angles about fixed axes": np.swapaxes(fixed_axes, -1, -2),
-    }.items():
+    for name, read in other_orientations(turns).items():
         rows = replace(first, orientations=read)
         left = rows.positions - placed_model(model, rows).position(rows.postures, conditions=rows.conditions)
         missed[name] = float(np.median(np.linalg.norm(left[:, POINT.stop :], axis=1))) / (chain.angle_scale or 1.0)
@@ -459,6 +453,30 @@ def data_warnings(measurements: Measurements, arm: Arm) -> list[str]:
         f"the orientations are {np.degrees(missed['']):.3g} deg from the nominal arm's in the median{looks}; rx_deg, "
         "ry_deg and rz_deg turn the tool about its own x, then y, then z axis, from the frame of the instrument"
     ]
+
+
+def other_orientations(turns: Array) -> dict[str, Array]:
+    """Orientations (m, 3, 3) as they were read, and as they would have been by other conventions that controllers and
+    programs have, in words: nothing -> as they were read."""
+    from scipy.spatial.transform import Rotation  # deferred: only poses pay for the import
+
+    near = to_angles(turns)
+    far = near + np.pi * np.where(near > 0.0, -1.0, 1.0)
+    far[:, 1] = np.pi * np.where(near[:, 1] > 0.0, 1.0, -1.0) - near[:, 1]  # the same rotation
+    # rotation vectors are no longer than half a turn; for the others it makes no difference
+    angles = np.where(
+        np.linalg.norm(near, axis=1, keepdims=True) > np.linalg.norm(far, axis=1, keepdims=True), far, near
+    )
+    read = dict[str, Array]()
+    for unit, factor in (("", 1.0), (" in radians", np.degrees(1.0))):
+        for name, order in (("", "XYZ"), ("angles about fixed axes", "xyz"), ("angles about z, then y, then x", "ZYX")):
+            words = name or "angles" * bool(unit)
+            read[words + unit] = Rotation.from_euler(order, factor * angles).as_matrix()
+        read[f"rotation vectors{unit}"] = Rotation.from_rotvec(factor * angles).as_matrix()
+    four = Rotation.from_matrix(turns).as_quat()[:, [3, 0, 1, 2]]  # as columns qw, qx, qy, qz have them
+    read["quaternions in the order x, y, z, w"] = Rotation.from_quat(four).as_matrix()
+    inverse = "the instrument in the frame of the tool"
+    return read | {f"{inverse}{name and f', by {name}'}": np.swapaxes(each, -1, -2) for name, each in read.items()}
 
 
 def gap_notes(measurements: Measurements) -> list[str]:
