@@ -456,25 +456,24 @@ def data_warnings(measurements: Measurements, arm: Arm) -> list[str]:
 
 
 def other_orientations(turns: Array) -> dict[str, Array]:
-    """Orientations (m, 3, 3) as they were read, and as they would have been by other conventions that controllers and
-    programs have, in words: nothing -> as they were read."""
+    """Orientations (m, 3, 3) as they were read, and as they would have been by other conventions of controllers and
+    programs, in words: nothing -> as they were read."""
     from scipy.spatial.transform import Rotation  # deferred: only poses pay for the import
 
     near = to_angles(turns)
-    far = near + np.pi * np.where(near > 0.0, -1.0, 1.0)
-    far[:, 1] = np.pi * np.where(near[:, 1] > 0.0, 1.0, -1.0) - near[:, 1]  # the same rotation
+    far = near + np.pi * np.where(near > 0.0, -1.0, 1.0)  # the same rotations
+    far[:, 1] = np.pi * np.where(near[:, 1] > 0.0, 1.0, -1.0) - near[:, 1]
     # rotation vectors are no longer than half a turn; for the others it makes no difference
     angles = np.where(
         np.linalg.norm(near, axis=1, keepdims=True) > np.linalg.norm(far, axis=1, keepdims=True), far, near
     )
-    read = dict[str, Array]()
-    for unit, factor in (("", 1.0), (" in radians", np.degrees(1.0))):
-        for name, order in (("", "XYZ"), ("angles about fixed axes", "xyz"), ("angles about z, then y, then x", "ZYX")):
-            words = name or "angles" * bool(unit)
-            read[words + unit] = Rotation.from_euler(order, factor * angles).as_matrix()
-        read[f"rotation vectors{unit}"] = Rotation.from_rotvec(factor * angles).as_matrix()
+    orders = {"angles about fixed axes": "xyz", "angles about z, then y, then x": "ZYX"}
     four = Rotation.from_matrix(turns).as_quat()[:, [3, 0, 1, 2]]  # as columns qw, qx, qy, qz have them
-    read["quaternions in the order x, y, z, w"] = Rotation.from_quat(four).as_matrix()
+    read = {"": turns, "quaternions in the order x, y, z, w": Rotation.from_quat(four).as_matrix()}
+    read["angles in radians"] = Rotation.from_euler("XYZ", np.degrees(angles)).as_matrix()
+    for unit, columns in (("", angles), (" in radians", np.degrees(angles))):
+        read |= {name + unit: Rotation.from_euler(order, columns).as_matrix() for name, order in orders.items()}
+        read[f"rotation vectors{unit}"] = Rotation.from_rotvec(columns).as_matrix()
     inverse = "the instrument in the frame of the tool"
     return read | {f"{inverse}{name and f', by {name}'}": np.swapaxes(each, -1, -2) for name, each in read.items()}
 

@@ -277,20 +277,19 @@ def test_another_convention_is_said() -> None:
     generator = np.random.default_rng(9)
     data = measured(Exponentials(generator), 60, generator)
     turns = Rotation.from_matrix(data.orientations)
-    written = {  # what three columns rx, ry, rz hold, by conventions of controllers
+    columns = {  # rx, ry, rz, by conventions of controllers
         "angles about fixed axes": turns.as_euler("xyz"),
         "angles about z, then y, then x": turns.as_euler("ZYX"),
         "rotation vectors": turns.as_rotvec(),
         "angles in radians": np.radians(turns.as_euler("XYZ")),
         "rotation vectors in radians": np.radians(turns.as_rotvec()),
+        "the instrument in the frame of the tool": turns.inv().as_euler("XYZ"),
         "the instrument in the frame of the tool, by rotation vectors": turns.inv().as_rotvec(),
     }
-    for words, angles in written.items():
-        read = replace(data, orientations=Rotation.from_euler("XYZ", angles).as_matrix())
-        assert f"they look like {words};" in data_warnings(read, SIX)[0]
-    inverse = replace(data, orientations=np.swapaxes(data.orientations, 1, 2))
-    assert "look like the instrument in the frame of the tool;" in data_warnings(inverse, SIX)[0]
-    w, *xyz = turns.as_quat().T  # x first, in columns of which the first should be w
-    last = replace(data, orientations=Rotation.from_quat(np.column_stack([*xyz, w])).as_matrix())
-    assert "look like quaternions in the order x, y, z, w;" in data_warnings(last, SIX)[0]
+    read = {words: Rotation.from_euler("XYZ", angles) for words, angles in columns.items()}
+    w_first = turns.as_quat()[:, [1, 2, 3, 0]]  # what is read as x, y, z, w where qw, qx, qy, qz hold x, y, z, w
+    read["quaternions in the order x, y, z, w"] = Rotation.from_quat(w_first)
+    for words, as_read in read.items():
+        said = data_warnings(replace(data, orientations=as_read.as_matrix()), SIX)
+        assert f"they look like {words};" in said[0]
     assert data_warnings(data, SIX) == []
