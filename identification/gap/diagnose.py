@@ -63,7 +63,7 @@ def diagnose(
     held_out = None if holdout is None else HeldOut.of(holdout, measurements)
     if held_out is not None:
         held_out.check_same_arm(geometry(base), measurements)
-    shares = iter(np.linspace(0.1, 0.7, 2 * PASSES + 1, endpoint=False).tolist())
+    shares = iter(np.linspace(0.1, 0.7, 3 * PASSES + 1, endpoint=False).tolist())
     posterior = posterior_of(
         library, rows, generator, lambda message: progress(next(shares), 1.0, f"step 2 of 3: {message}")
     )

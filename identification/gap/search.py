@@ -40,7 +40,7 @@ CREDIBLE = 0.9  # convention: probability of the credible set
 LEAST = 1e-5  # numerical: probability of a set that is kept
 ROUNDING = 1e-6  # numerical: of a log likelihood
 MOST_ROWS = 1250  # effort: rows that are searched for any effect
-PASSES = 6  # effort: linearizations, passes of a climb, and kinds of noise
+PASSES = 3  # effort: linearizations of many rows, passes of a climb, and kinds of noise
 
 _OCTAVES = np.subtract.outer(np.arange(len(SIZES)), np.arange(len(SIZES)))
 # derived: (S, S) p(s | c) of a size, by column, around a common one
@@ -319,8 +319,8 @@ def posterior_of(
     """
     few = rows if len(rows) <= MOST_ROWS else rows.pick(np.sort(generator.permutation(len(rows))[:MOST_ROWS]))
     at, noise, names, chosen = fit(library.base, few), ("", 0.0), set[str](), dict[str, int]()
-    kept = np.ones(len(few), dtype=bool)
-    for turn in range(1, PASSES + 1):
+    kept, passes = np.ones(len(few), dtype=bool), PASSES if few is not rows else 2 * PASSES  # few rows settle late
+    for turn in range(1, passes + 1):
         tell(f"pass {turn}")
         here = at.on(few)
         y, base = library.as_base(here)
@@ -355,7 +355,7 @@ def posterior_of(
         likely = sorted((k for k in kinds.values() if scores[k] > scores.max() + np.log(LEVEL)), key=order.index)
         best = int(np.argmax(np.where(np.arange(len(every)) == number, scores + ROUNDING, scores)))
         settled = [*chosen] == before and best == number
-        if turn == PASSES:
+        if turn == passes:
             break
         if not settled:
             noise, kept = (every[best].name, every[best].size), np.ones(len(few), dtype=bool)
@@ -369,7 +369,7 @@ def posterior_of(
                     at, library = without, library.without(families)
                     chosen = {label: size for label, size in chosen.items() if label not in families}
         wider = library.with_further_orders(at.on(every[best].rows), effects)
-        if few is not rows and turn == PASSES - 1:
+        if few is not rows and turn == passes - 1:
             few, at, kept = rows, fit(at.model, rows, at.by_name), np.ones(len(rows), dtype=bool)
             names = {noise[0], *(every[k].name for k in likely)}
         elif settled and wider is library and few is rows:
