@@ -276,12 +276,15 @@ class Posterior:
             return None
         chances = defaultdict[str, defaultdict[tuple[str, ...], float]](lambda: defaultdict(float))
         for one in sets:
-            for key in {b.key for b in one.blocks if b.row is None}:
-                chances[key][tuple(b.label for b in one.blocks if b.key == key)] += one.probability
+            settings = defaultdict[str, tuple[str, ...]](tuple)
+            for block in (b for b in one.blocks if b.row is None):
+                settings[block.key] += (block.label,)
+            for key, labels in settings.items():
+                chances[key][labels] += one.probability
         half = 0.5 * sum(one.probability for one in sets)
         likely = (shares for shares in chances.values() if sum(shares.values()) > half)
-        labels = {label for shares in likely for label in max(shares, key=lambda one: (round(shares[one], 9), one))}
-        return Explanation(tuple(b for b in self.whole.blocks if b.label in labels), (), sets[0].noise, 0.0)
+        named = {label for shares in likely for label in max(shares, key=lambda one: (round(shares[one], 9), one))}
+        return Explanation(tuple(b for b in self.whole.blocks if b.label in named), (), sets[0].noise, 0.0)
 
     @cached_property
     def shares(self) -> Array:
