@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.optimize import least_squares, minimize
+from scipy.optimize import minimize
 
 from identification import Array, Status
 from identification.levenberg_marquardt import (
@@ -46,41 +46,6 @@ def measured_decays(count: int, seed: int = 0) -> np.ndarray:
     generator = np.random.default_rng(seed)
     a, b, c = generator.uniform([1.0, 0.3, -1.0], [5.0, 2.0, 1.0], (count, 3)).T[:, :, None]
     return a * np.exp(-b * TIMES) + c + 0.05 * generator.standard_normal((count, len(TIMES)))
-
-
-def scipy_end(linearize: Linearize, start: np.ndarray, k: int, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """scipy's trust region with bounds on problem k."""
-    which = np.array([k])
-    found = least_squares(
-        lambda x: linearize(x[None], which)[0][0],
-        np.clip(start, lower + 1e-6, upper - 1e-6),
-        lambda x: -linearize(x[None], which)[1][0],
-        bounds=(lower, upper),
-        xtol=1e-15,
-        ftol=1e-15,
-        gtol=1e-12,
-        max_nfev=2000,
-    )
-    return np.asarray(found.x)
-
-
-@pytest.mark.parametrize(
-    ("lower", "upper"),
-    [((-INF, -INF, -INF), (INF, INF, INF)), ((0.0, 0.0, 0.0), (4.0, 1.0, INF)), ((2.0, -INF, -0.2), (3.0, INF, 0.2))],
-)
-def test_ends_where_scipy_ends(lower: tuple[float, ...], upper: tuple[float, ...]) -> None:
-    low, high = np.array(lower), np.array(upper)
-    linearize = decays(measured_decays(40))
-    others = np.array([scipy_end(linearize, np.array([2.5, 0.8, 0.1]), k, low, high) for k in range(40)])
-    # with bounds there may be two minima: from near the one that scipy ends at
-    found = minima(linearize, 1.05 * others, lower=low, upper=high)
-    assert set(found.status) == {Status.converged}
-    assert np.all((found.parameters >= low) & (found.parameters <= high))
-    assert np.all(found.rss <= np.sum(linearize(others, np.arange(40))[0] ** 2, axis=1) * (1.0 + 1e-9))
-    # scipy keeps a little inside the bounds: 1e-6 of values of order one
-    np.testing.assert_allclose(found.parameters, others, rtol=0, atol=2e-5)
-    far = minima(linearize, np.tile([2.5, 0.8, 0.1], (40, 1)), lower=low, upper=high)
-    assert set(far.status) == {Status.converged}
 
 
 def test_many_at_once_are_those_one_by_one() -> None:

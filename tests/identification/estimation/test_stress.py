@@ -11,7 +11,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from identification import Arm, Measurements, Model, estimate
+from identification import Arm, EffectSpec, Measurements, Model, estimate
 from identification.kinematics.chain import Joint, KinematicChain
 from identification.kinematics.frames import pose
 from identification.model.placed import practical
@@ -95,15 +95,16 @@ def test_rows_turns_and_size_do_not_matter(n: int, seed: int, scale: float) -> N
 
 
 def test_data_without_noise_are_fitted_exactly_and_said_to_be_so() -> None:
+    """Offsets of any size, even half a turn, lengths 30 % off, a base elsewhere: there is no start to be poor."""
     generator = np.random.default_rng(5)
     for n in (1, 3, 12):
         lengths, q = np.full(n, 100.0), generator.uniform(-3.0, 3.0, (n + 4, n))
-        true = np.r_[generator.standard_normal(n), 0.01 * generator.standard_normal(n)]
-        tip = np.exp(1j * np.cumsum(q + true[n:], axis=1)) @ (lengths + true[:n])
+        errors, offsets, base = (generator.uniform(-size, size, k) for size, k in ((30.0, n), (3.1, n), (500.0, 2)))
+        tip = np.exp(1j * np.cumsum(q + offsets, axis=1)) @ (lengths + errors) + base @ [1.0, 1.0j]
         exact = Measurements(q, np.column_stack([tip.real, tip.imag]))
         for sigma in (None, 0.1):
-            found = estimate(Model(Arm(tuple(lengths), sigma=sigma)), exact)
-            np.testing.assert_allclose(found.parameters, true, rtol=0.0, atol=1e-11)
+            found = estimate(Model(Arm(tuple(lengths), sigma=sigma, effects=(EffectSpec("base_offset"),))), exact)
+            np.testing.assert_allclose(found.parameters, [*errors, *offsets, *base], rtol=0.0, atol=1e-10)
             assert any("data without noise" in said for said in found.warnings)
         few = measured(lengths, q[:n], 0.1, generator)  # as many equations as parameters leave nothing either
         found = estimate(Model(Arm(tuple(lengths), sigma=0.1)), few)

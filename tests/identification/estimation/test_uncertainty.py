@@ -26,7 +26,6 @@ from identification.estimation.uncertainty import (
     uncertainty,
 )
 from identification.inspection.inspection import inspect
-from identification.simulate import simulate
 from tests.identification.estimation.cases import SIGMA, TRUTH, arm, data, plan
 from tests.small_arm import OTHERS, drawn_arm, measured, random_postures, small_arm
 
@@ -410,19 +409,6 @@ def test_outliers_that_hide_each_other_are_found_and_a_third_of_the_rows_is_stru
     assert not outlying(residual, blocks).any()
     residual[5:10] /= 1000.0
     assert np.flatnonzero(outlying(residual, blocks)).tolist() == list(range(5))
-
-
-def test_a_fit_says_which_rows_it_does_not_explain() -> None:
-    """A beam lost twice in 40 rows of noise 0.1 mm; the other rows of the same draw are explained."""
-    arm, rng = Arm([300.0, 200.0, 150.0], sigma=0.1), np.random.default_rng(5)
-    data = simulate(arm, rng.uniform(-3.0, 3.0, (40, 3)), rng)
-    assert estimate(Model(arm), data).outlier_rows == ()
-    positions = data.positions.copy()
-    positions[[7, 30]] += [[2.0, -1.0], [0.0, 3.0]]
-    found = estimate(Model(arm), replace(data, positions=positions))
-    assert found.outlier_rows == (8, 31)
-    assert found.doubts[-1].startswith("rows 8, 31: up to ")
-    assert found.to_json()["outlier_rows"] == [8, 31]
 
 
 @pytest.mark.parametrize(("postures", "rows", "wrong"), [(50, 1, 3), (50, 1, 12), (30, 2, 3), (20, 3, 3), (30, 5, 20)])

@@ -291,6 +291,7 @@ def test_an_estimate_at_its_bound_has_an_interval() -> None:
     (estimate,) = Candidate.of(fitted, 1).parameters
     std = fitted.sigma / (300.0 * np.sqrt(np.sum((tau - tau.mean()) ** 2)))
     assert estimate.value == estimate.low_95 == 0.0
+    assert fitted.free.tolist() == [True, True, False]
     assert estimate.std == pytest.approx(std, rel=1e-3)  # the link is 300 mm to 1e-4
     assert estimate.high_95 == pytest.approx(stats.t(2 * 60 - 3).ppf(0.975) * std, rel=1e-3)
 

@@ -29,7 +29,7 @@ from identification.model.placed import with_sessions
 from identification.simulate import simulate
 from identification.validate import validate
 from tests.doe.six_axis import CHAIN
-from tests.identification.exponentials import HALF, Exponentials, drawing, led, plane
+from tests.identification.exponentials import Exponentials, drawing
 
 
 def test_turns_about_a_normal_are_hidden() -> None:
@@ -63,7 +63,6 @@ def test_bases_of_later_planes(normal: list[float]) -> None:
 TOOL, REACH = np.array([60.0, -40.0, 120.0]), 1500.0  # [mm]
 BASE = pose([500.0, -300.0, 800.0], Rotation.from_rotvec([0.3, -0.8, 1.1]).as_matrix())  # above the plane
 GENERATOR = np.random.default_rng(0)
-TWO_JOINTS = ((400.0, HALF, 300.0), (350.0, 0.0, 0.0))
 FRAMES = Exponentials(GENERATOR, np.eye(4)).poses(GENERATOR.uniform(-2.0, 2.0, (80, 6)))
 
 
@@ -111,22 +110,6 @@ def test_a_center_off_the_plane_of_all_points(instrument: Instrument) -> None:
     frames[:, :3, 3] = np.column_stack([400.0 * np.cos(angles), 400.0 * np.sin(angles), np.full(20, 100.0)])
     readings = read(instrument, frames, BASE, np.zeros(3))
     assert instrument.place(Unplaced(frames, readings, REACH, tool=np.zeros(3))).rms < 1e-7
-
-
-def test_contacts_that_show_no_size_do_not_shrink_the_arm() -> None:
-    """The nearer the arm is to nothing the better it fits, so rows are no reason for wider sizes of machining."""
-    generator = np.random.default_rng(0)
-    truth, postures = Exponentials(generator, pose([20.0, -30.0, 80.0]), TWO_JOINTS), []
-    for normal in ([0.2, 0.1, 1.0], [-1.0, 0.1, 0.2], [0.1, 1.0, 0.1]):
-        height, noise = plane(np.array(normal), 200.0), 0.05 * generator.standard_normal((30, 1))
-        start = generator.uniform(-2.0, 2.0, (30, 2))
-        postures.append(led(start, lambda q, h=height, e=noise: h(truth.points(q))[..., None] + e, 50, 0.3))  # type: ignore[misc]
-    arm = Arm(replace(drawing(TWO_JOINTS), instrument=Plane()), sigma=0.05)
-    data = Measurements(np.concatenate(postures), np.zeros((90, 1)), session=np.repeat(["A", "B", "C"], 30))
-    fit = estimate(Model(with_sessions(arm, data)), data)
-    assert (fit.status, fit.machining_factor) == (Status.converged, 1.0)
-    assert fit.p_value is not None
-    assert 0.01 < fit.p_value < 0.99
 
 
 def test_contacts_that_an_arm_makes_whatever_it_does() -> None:
