@@ -109,17 +109,6 @@ def test_every_verb_says_what_it_is_for() -> None:
                 assert provided == (f"\n{parameter.name} : " not in text), (name, parameter.name)
 
 
-def test_what_a_calibration_leaves_of_other_rows_is_said_first(folder: Path) -> None:
-    names = [folder / name for name in ("arm.toml", "calibrated.toml", "data.csv", "other.csv")]
-    identify_files(names[0], names[2], out=Written(names[1]))
-    document, kinds = campaign_document(names)
-    assert [*kinds.values()] == ["arm", "arm with a calibration", "measurements", "measurements"]
-    assert document.verdict[0].startswith(f"On 30 rows of {names[3]}, {names[1]} takes")
-    assert "more than 99.9 % of the error is removed" in document.verdict[0]
-    assert any("compensate" in action.command for action in document.actions)
-    assert "length of link 1" in str(document)
-
-
 def test_a_plan_is_read_and_what_is_no_table_of_the_arm_is_one_line(folder: Path) -> None:
     (folder / "plan.csv").write_text("run,q1_deg,q2_deg,remark\n1,10,20,low\n")
     with pytest.warns(UserWarning, match="not used: 'remark'"):

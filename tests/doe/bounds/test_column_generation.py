@@ -131,23 +131,6 @@ def test_sampling_first_gives_the_same_answer() -> None:
     assert np.square(rows).sum(axis=(1, 2)).max() <= case.parameters + 1e-7
 
 
-def test_ds_has_no_better_neighbor() -> None:
-    """Directional derivatives of Phi towards every candidate are <= 0, by differences of Phi itself."""
-    generator, criterion = np.random.default_rng(2), Ds((0, 1))
-    case = problem(FOUR, criterion=criterion)
-    candidates = grid(case, 5)
-    design = column_generation(case, candidates)
-    best = case.information(design.plan.postures, design.plan.shares)
-    assert design.value == pytest.approx(float(criterion.value(best)), rel=1e-12)
-    assert design.value <= design.bound.value + 1e-9
-    for _ in range(100):
-        rows = generator.integers(len(candidates), size=generator.integers(1, 12))
-        other = case.information(candidates[rows], generator.dirichlet(np.ones(len(rows))))
-        value = float(criterion.value(0.99 * best + 0.01 * other))
-        assert value <= design.bound.value + 1e-9
-        assert float(criterion.value(other)) <= design.bound.value + 1e-9
-
-
 @pytest.mark.parametrize("criterion", [D(), A()])
 @pytest.mark.parametrize("deviations", [{}, {"encoder_eccentricity:2.a": 5e-4, "encoder_eccentricity:2.b": 5e-4}])
 def test_a_rough_answer_is_within_its_gap_of_the_optimum(criterion: Criterion, deviations: dict[str, float]) -> None:

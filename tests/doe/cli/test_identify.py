@@ -89,23 +89,13 @@ def test_misfit_is_the_first_line_a_warning_and_in_json(folder: Folder) -> None:
     assert with_json.data["warnings"][0].startswith("misfit: ")
 
 
-def test_data_in_the_frame_of_a_tracker(folder: Folder) -> None:
-    """Turned by 70 degrees and shifted."""
+def test_an_implausible_fit_is_not_written(folder: Folder) -> None:
     folder.simulated()
-    frame = pl.read_csv(folder.path / "data.csv")
-    x, y = (frame[name].to_numpy() for name in ("x_mm", "y_mm"))
-    place = np.exp(1j * np.radians(70.0)) * (x + 1j * y) + 2500.0 - 800.0j
-    frame.with_columns(x_mm=pl.Series(place.real), y_mm=pl.Series(place.imag)).write_csv(folder.path / "data.csv")
+    pl.read_csv(folder.path / "data.csv").with_columns(pl.col("x_mm") + 2500.0).write_csv(folder.path / "data.csv")
     done = folder.armcal(f"{IDENTIFY} --out calibrated.toml")
     assert done.code == 1
-    assert done.out.startswith("implausible: the fit leaves ")
-    assert 'add [[effects]] name = "base_offset"' in done.flat
     assert "calibrated.toml was not written: the fit is implausible" in done.out
     assert not (folder.path / "calibrated.toml").exists()
-    assert folder.said(IDENTIFY)["status"] == "implausible"
-    folder.write("arm.toml", ARM + '[[effects]]\nname = "base_offset"\n')
-    done = folder.armcal(f"{IDENTIFY} --out calibrated.toml")
-    assert (done.code, done.err) == (0, "")
 
 
 def test_commands_beside_readings(folder: Folder) -> None:

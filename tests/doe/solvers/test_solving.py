@@ -239,7 +239,7 @@ def test_six_links_eight_runs(seed: int) -> None:
 SEARCHED = 1e-7  # plans whose values differ by less are the same to the solver (`AGREES` in doe/solvers/solving.py)
 POSES = np.random.default_rng(0).uniform(FOUR.lower, FOUR.upper, (20, 4))
 CASES = {
-    "A": A(), "I": I(problem(FOUR).scaled_jacobians(POSES)), "Ds": Ds((0, 1, 2, 3)),
+    "A": A(), "E": E(), "I": I(problem(FOUR).scaled_jacobians(POSES)), "Ds": Ds((0, 1, 2, 3)),
     "Dstar": DStar(((0, 1, 2, 3), (4, 5, 6, 7))),
 }  # fmt: skip
 
@@ -254,18 +254,6 @@ def test_twenty_runs_are_near_the_bound(criterion: Criterion) -> None:
     assert design.efficiency >= 0.99
     other = solve(problem(FOUR), 20)  # D-optimal, by theory
     assert design.value >= case.objective(other.plan.postures) - SEARCHED
-
-
-def test_e_is_better_than_plans_for_other_criteria() -> None:
-    case = problem(FOUR, criterion=E())
-    design = solve(case, 10, starts=5)
-    for rival in (problem(FOUR), problem(FOUR, criterion=A())):
-        assert design.value >= case.objective(solve(rival, 10, starts=4).plan.postures) - SEARCHED
-    generator = np.random.default_rng(1)
-    rows = design.plan.postures
-    for _ in range(500):  # no small change of any posture helps
-        moved = case.clip(rows + 1e-3 * generator.standard_normal(rows.shape))
-        assert case.objective(moved) <= design.value + 1e-6
 
 
 def test_the_papers_criterion_within_narrow_limits() -> None:

@@ -55,6 +55,7 @@ def test_a_fit_and_a_validation_in_a_sentence_each() -> None:
     assert said.startswith(f"On 7 rows of d.csv, which it was fitted to, c.toml takes the RMS error {drawing} 0.100 mm")
     assert "this says nothing about others" in said
     assert "removed" not in said
+    assert "more than 99.9 % of the error is removed" in validation_verdict(figures | {"rms_mm": 1e-5})
     left_out = identification_verdict(fit | {"cross_validated_mm": 2.0})
     assert left_out.endswith("to 0.250 mm; for postures left out of the fit it is 2.00 mm (noise included).")
 

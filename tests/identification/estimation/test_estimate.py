@@ -142,22 +142,6 @@ def test_units_and_errors_of_json() -> None:
         assert figures[f"max_{when}_mm"] == pytest.approx(distance.max())
 
 
-def test_calibrated_arm_computes_what_was_fitted() -> None:
-    model = Model(arm(EffectSpec("encoder_eccentricity", 2, {"a": 0.002}), EffectSpec("base_offset")))
-    measurements = data(Model(arm()), plan(20))
-    found = estimate(model, measurements)
-    calibrated = found.calibrated_arm()
-    np.testing.assert_array_equal(measurements.positions - Model(calibrated).position(plan(20)), found.residuals_after)
-    calibration = found.calibration()
-    assert set(calibration.effects) == {
-        "encoder_eccentricity:2.a", "encoder_eccentricity:2.b", "base_offset.x0", "base_offset.y0",
-    }  # fmt: skip
-    assert (calibration.effects["encoder_eccentricity:2.a"], calibration.parameter_names) == (0.002, model.names)
-    again = estimate(Model(calibrated), measurements)
-    assert again.rms_before == pytest.approx(found.rms_after)
-    np.testing.assert_allclose(again.parameters, found.parameters, rtol=0, atol=1e-9)
-
-
 # -- refusals --------------------------------------------------------------------------------------------------------
 def test_bad_arguments() -> None:
     model, measurements = Model(arm()), data(Model(arm()), plan(10))

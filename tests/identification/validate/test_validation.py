@@ -385,8 +385,9 @@ def test_on_its_own_rows_a_drift_is_as_it_was_fitted() -> None:
     positions = tip(q) + np.outer(time, [2.0, -1.0]) + 0.1 * np.random.default_rng(5).standard_normal((40, 2))
     specs = [EffectSpec(name) for name in ("base_offset", "base_drift")]
     rows = Measurements(q, positions)
-    fit = estimate(Model(Arm(LENGTHS, effects=(EffectSpec("encoder_eccentricity", 2), *specs))), rows)
+    fit = estimate(Model(Arm(LENGTHS, effects=(EffectSpec("encoder_eccentricity", 2, {"a": A}), *specs))), rows)
     calibrated_arm = fit.calibrated_arm()
+    assert calibrated_arm.calibration.effects["encoder_eccentricity:2.a"] == A  # which was known
     assert validate(calibrated_arm, rows).model.rms == pytest.approx(fit.rms_after, rel=1e-6)
     assert validate(calibrated_arm, replace(rows, positions=positions + 0.01)).model.rms > 2.0 * fit.rms_after
 
