@@ -104,17 +104,14 @@ def to_angles(rotations: Array) -> Array:
     return -roll_pitch_yaw(np.swapaxes(rotations, -1, -2))
 
 
-def _of_quaternion() -> Array:
-    """(9, 16) rotation matrices, by rows, of the products of the entries of a unit quaternion, the real part first."""
-    entries = np.zeros((3, 3, 4, 4))
-    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        entries[i, i] = 2.0 * np.diag(np.eye(4)[0] + np.eye(4)[i + 1]) - np.eye(4)
-        entries[i, j, (i + 1, j + 1), (j + 1, i + 1)] = entries[j, i, (i + 1, j + 1), (j + 1, i + 1)] = 1.0
-        entries[i, j, (0, k + 1), (k + 1, 0)], entries[j, i, (0, k + 1), (k + 1, 0)] = -1.0, 1.0
-    return readonly(entries.reshape(9, 16))
-
-
-OF_QUATERNION = _of_quaternion()
+# (9, 16) rotation matrices, by rows, of the products of the entries of a unit quaternion, the real part first
+_entries = np.zeros((3, 3, 4, 4))
+for _i, _j, _k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+    _entries[_i, _i] = 2.0 * np.diag(np.eye(4)[0] + np.eye(4)[_i + 1]) - np.eye(4)
+    for _at, _sign in (((_i, _j), -1.0), ((_j, _i), 1.0)):
+        _entries[(*_at, (_i + 1, _j + 1), (_j + 1, _i + 1))] = 1.0
+        _entries[(*_at, (0, _k + 1), (_k + 1, 0))] = _sign
+OF_QUATERNION = readonly(_entries.reshape(9, 16))
 
 
 def from_quaternions(quaternions: Array) -> Array:
