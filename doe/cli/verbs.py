@@ -209,6 +209,7 @@ def design_files(
     if discriminating:
         chosen = replace(chosen, design=design)
         data, document = chosen.to_json(), chosen.document()
+    progress(0, None, "tip error expected of the plan, and of random ones")
     data["expected_tip"], extra = tip_beside_random(design.problem, design.plan.postures, seed)
     extra += driven.lines
     data |= driven.data
