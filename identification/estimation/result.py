@@ -441,10 +441,11 @@ def _tables(chain: KinematicChain, values: Values) -> dict[tuple[str, str], floa
             turned = pose_table(pose(place[:3, 3], drawn.T @ place[:3, :3]))
             # as drawn is zero, whatever the product of matrices rounds it to
             rows[f"joint {j}"] = {k: round(v, 12) if k.endswith("_deg") else v for k, v in turned.items()}
-    hidden = {f"{name.partition('.')[2]}_deg" for name in chain.instrument.hidden(chain.base)}
-    hidden |= {key.replace("_deg", "_mm") for key in hidden}
-    rows["base"] = {k: v for k, v in (tables["base"] or {}).items() if k not in hidden}
-    rows |= {f"tool {name}": place for name, place in tables["tools"].items()}
+    found = {*chain.parameters().names}
+    standing = [("base", "base", tables["base"] or {})]
+    standing += [(f"tool {name}", f"tool[{name}]", place) for name, place in tables["tools"].items()]
+    for word, frame, place in standing:
+        rows[word] = {k: v for k, v in place.items() if f"{frame}.{k.partition('_')[0]}" in found}
     return {(place, k): v for place, row in rows.items() for k, v in row.items() if k != "name"}
 
 

@@ -89,11 +89,6 @@ class Rows:
         """(m,) row numbers in the order of measurement."""
         return np.argsort(self.order, kind="stable")
 
-    @cached_property
-    def _inverse(self) -> Array:
-        """(m, d, d) inverse of `spread`."""
-        return np.asarray(np.linalg.inv(np.eye(self.dimension) if self.spread is None else self.spread), float)
-
     @property
     def log_determinant(self) -> float:
         """Log determinant of the relative covariance of all m d coordinates."""
@@ -106,7 +101,7 @@ class Rows:
         """Transform (m, d, ...) to (m d, ...) with white noise; linear, so that it serves residuals and columns."""
         shape, values = values.shape, values.reshape(len(values), self.dimension, -1)
         if self.spread is not None:
-            values = self._inverse @ values
+            values = np.linalg.inv(self.spread) @ values
         if self.shared:  # the mean over the n rows of each posture is shrunk by (1 + n shared)^(-1/2)
             numbers, counts = self.posture_numbers, np.bincount(self.posture_numbers)
             sums = np.zeros((len(counts), *values.shape[1:]))

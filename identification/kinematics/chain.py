@@ -227,7 +227,8 @@ class KinematicChain(ByValue):
         """What there is to find: `every_parameter` but for
 
         the base and tools that are given; errors along or about a joint's own axis, which are its offset; those of
-        joint 1 where the base is to be found, which are errors of the base; what no reading of the instrument shows
+        joint 1 where the base is to be found, which are errors of the base; the place of the first measured point where
+        no joint turns, which then is a shift of the base; what no reading of the instrument shows
 
         best : best known values, which matter in the plane
         """
@@ -239,6 +240,8 @@ class KinematicChain(ByValue):
         }
         hidden |= frozenset() if stands else self.instrument.hidden(self.base)
         hidden |= {self._turning_with_targets} if self.instrument.own_targets else frozenset()
+        where = error_names(f"tool[{next(iter(self.tools))}]")[:DIMENSION]
+        hidden |= frozenset() if stands or REVOLUTE in self.joint_types else {*where}
         return ParameterSet(
             p
             for p in self.every_parameter

@@ -91,22 +91,23 @@ def postures(chain: KinematicChain, count: int) -> Array:
 
 def test_what_there_is_to_find() -> None:
     """Two joints that turn about z and one that slides along z: of each the errors across and about its own axis that
-    its offset does not make, of the first none beside the base that moves it."""
+    its offset does not make, of the first none beside the base that moves it, and no place of a point that none turns.
+    """
     turning = Joint("turning", pose((0.0, 0.0, 100.0), np.eye(3)), np.array([0.0, 0.0, 1.0]))
     joints = (turning, turning, replace(turning, type=PRISMATIC))
     arm = KinematicChain(joints, np.eye(4), np.eye(4), {"1": np.array([1.0, 2.0, 3.0])})
     kinds = {p.name: p.kind for p in arm.parameters()}
     errors = {f"{kind}_error": [f"{kind}_{axis}" for axis in "xyz"] for kind in ("translation", "rotation")}
-    own = {"rotation_z:2", "translation_z:3"}
     expected = {f"base.{axis}": "base" for axis in ("x", "y", "z", "rx", "ry", "rz")}
     expected |= {f"tool[1].{axis}": "tool" for axis in "xyz"}
     expected |= {f"{name}:{j}": kind for kind, names in errors.items() for name in names for j in (2, 3)}
     expected |= {f"joint_offset:{j}": "joint_offset" for j in (2, 3)}
-    assert kinds == {name: kind for name, kind in expected.items() if name not in own}
+    assert kinds == {n: kind for n, kind in expected.items() if n not in ("rotation_z:2", "translation_z:3")}
     placed = {p.name: p.kind for p in replace(arm, settled=frozenset({"base", "tool"})).parameters()}
-    first = {f"{name}:1": kind for kind, names in errors.items() for name in names} | {"joint_offset:1": "joint_offset"}
     still = {name: kind for name, kind in kinds.items() if kind not in ("base", "tool")}
-    assert placed == still | {name: kind for name, kind in first.items() if name != "rotation_z:1"}
+    assert placed == still | {n.replace(":2", ":1"): kind for n, kind in still.items() if n.endswith(":2")}
+    gantry = replace(arm, joints=(joints[2],) * 3, tools={"1": np.eye(4), "2": np.eye(4)})
+    assert [p.name for p in gantry.parameters() if p.kind == "tool"] == ["tool[2].x", "tool[2].y", "tool[2].z"]
 
 
 def test_frames_points_and_orientation_against_exponentials(chain: KinematicChain) -> None:
