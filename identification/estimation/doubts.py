@@ -204,8 +204,8 @@ def moved_points(model: Model, x: Array, residual: Array, measurements: Measurem
     fewer, more = (q.shape[1] for q in bases)
     if not worth_freeing(held, free, more - fewer, residual.size - more, FALL**2):
         return []
-    before, after = (f"{np.sqrt(squares / len(residual)):.4g}" for squares in (held, free))
-    fall = f"the RMS falls from {before} to {after} mm if each session has its own"
+    # by a linear estimate: that it falls much is certain, how far is not
+    fall = f"the RMS, {np.sqrt(held / len(residual)):.4g} mm, falls by more than half if each session has its own"
     return [f"measured points moved between sessions: {fall}; give them another name (column {column}) in each session"]
 
 
