@@ -258,10 +258,13 @@ class State:
 
     @cached_property
     def near(self) -> State:
-        """What sets that differ by a block are like: a copy, where this one is no longer like another; and nothing,
-        where columns that are nearly the same would cost others, computed from this one, their digits."""
+        """What sets that differ by a block are like: a copy, where this one is no longer like another, without blocks
+        that are nearly the same as others in it, which would cost sets computed from it their digits."""
         if self.like is None:
             factors = np.diag(self.covariance) * np.diag(self.products.gram)[self.columns]
-            return self if np.sum(factors) <= INFLATED else self.products.state()
+            if np.sum(factors) <= INFLATED:
+                return self
+            worst = np.repeat(self.blocks, self.products.widths[[*self.blocks]])[np.argmax(factors)]
+            return self.products.state([pair for pair in self.key if pair[0] != worst]).near
         changed = self.products.widths[self.variances != self.like.variances]
         return self.like if np.sum(changed) <= CHANGED else self.products.state(self.key).near

@@ -102,6 +102,15 @@ def test_sets_that_change_by_one_block_lose_no_digits(apart: float, monkeypatch:
             np.testing.assert_allclose(own, left[index[:, :, None], index[:, None, :]], rtol=0.0, atol=1e-11)
 
 
+def test_a_set_with_look_alikes_serves_others_without_one_of_them() -> None:
+    z = np.linalg.qr(np.random.default_rng(0).normal(size=(N, STARTS[-1])))[0]
+    z[:, 3] = z[:, 0] + 1e-5 * z[:, 3]  # block 2 is nearly block 0
+    products = products_of(z, z @ np.ones(STARTS[-1]), N, STARTS, np.zeros(len(WIDTHS), dtype=bool))
+    near = products.state([(b, 13) for b in range(5)]).near
+    assert near.blocks in ((0, 1, 3, 4), (1, 2, 3, 4))
+    assert near.near is near
+
+
 def test_a_set_has_the_coefficients_of_ridge_regression() -> None:
     j, z, y, products = problem()
     q = np.linalg.qr(j)[0]
