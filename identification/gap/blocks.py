@@ -339,8 +339,9 @@ def measured_range(angles: Array) -> tuple[float, float]:
     low, high = float(angles.min()), float(angles.max())
     if high - low > 2.0 * np.pi:
         return low, high
-    order = np.argsort(np.mod(angles, 2.0 * np.pi))
-    gaps = np.mod(np.roll(angles[order], -1) - angles[order], 2.0 * np.pi)
+    on_circle = np.mod(angles, 2.0 * np.pi)
+    order = np.argsort(on_circle)  # of those alike but for rounding, which is last there, in any order
+    gaps = np.diff(on_circle[order], append=on_circle[order[0]] + 2.0 * np.pi)
     widest = int(np.argmax(gaps))
     if gaps[widest] <= max(HOLE, 2.0 * np.pi - (high - low)):
         return low, high

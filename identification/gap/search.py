@@ -17,7 +17,6 @@ from functools import cached_property
 from math import lgamma
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import logsumexp, softmax, zeta
 
 from identification.arrays import Array
@@ -327,9 +326,15 @@ def posterior_of(
         tell(f"pass {turn}")
         here = at.on(few)
         y, base = library.as_base(here)
-        # rows that are far from where the others put them (3 robust standard deviations and 30 rows at most: effort),
-        # and do not come together as whole postures or neighbors do
-        left = _left_out(here, y, base, kept)
+        # by how much each row is off from where others put it that the fit used. Effects are held at zero as loosely as
+        # can be seen: what a row determines by itself, as one between two steps does, the others put half way
+        columns = here.jacobian.reshape(*y.shape, -1)
+        hold = np.sqrt(VISIBLE) * np.linalg.norm(columns, axis=(0, 1))
+        hold[base] = 0.0
+        columns = columns @ spectrum(columns[kept], here.model.scales, prior=np.diag(hold)).root
+        left = np.linalg.norm(left_out(columns, few.whiten(y).reshape(y.shape), kept), axis=1)
+        # rows that are far (3 robust standard deviations and 30 rows at most: effort), and do not come together as
+        # whole postures or neighbors do
         far = left > max(3.0 * float(np.median(left)) / 0.83, np.sort(left)[-31:][0])
         wrong = np.flatnonzero(far & ~together(far, few.postures, few.posture_numbers)).tolist()
         every = [n for n in noises(here) if not names or n.name in names]
@@ -341,11 +346,12 @@ def posterior_of(
         top = top if names else search.climb(problem.products.state([(b, 2) for b in top.blocks]))
         chosen = {problem.blocks[b].label: size for b, size in top.key}
         effects = [problem.blocks[b] for b in top.blocks if problem.blocks[b].listed]
-        # the set with the odds of each noise, in units of the noise that was searched: with nothing, with the set, and
-        # with the outlying rows of the set alone, which noise of another kind may need, too
+        # the set with the odds of each noise, in units of the noise that was searched: with nothing, with the set, with
+        # its outlying rows alone, which noise of another kind may need, too, and without what noise may stand for
         jacobian, each = here.linearized[1], []
         rows_only = [pair for pair in top.key if problem.blocks[pair[0]].row is not None]
-        for key in dict.fromkeys([(), top.key, tuple(rows_only)]):
+        inside = tuple(pair for pair in top.key if not problem.blocks[pair[0]].outside)
+        for key in dict.fromkeys([(), top.key, tuple(rows_only), inside]):
             one = search.products.state(key)
             columns = [jacobian[:, :, :0], *(problem.columns[b] @ problem.roots[b] for b in one.blocks)]
             free = jacobian[:, :, base] / at.model.scales[base]
@@ -405,17 +411,6 @@ def posterior_of(
         explanations.append(Explanation(blocks, key, which, float(probabilities[i])))
     models = tuple(every[k] for k in taken)
     return Posterior(tuple(explanations), models, tuple(problems), tuple(draws), problem, library, at.on(rows))
-
-
-def _left_out(here: Fitted, y: Array, base: Sequence[int], used: NDArray[np.bool_]) -> Array:
-    """(m,) by how much each row is off from where the others put it that a fit used. Effects are held at zero as
-    loosely as can be seen: what a row determines by itself, as one between two steps does, the others put half way.
-    y, base : as of `Library.as_base`"""
-    jacobian = here.jacobian.reshape(*y.shape, -1)
-    hold = np.sqrt(VISIBLE) * np.linalg.norm(jacobian, axis=(0, 1))
-    hold[base] = 0.0
-    columns = jacobian @ spectrum(jacobian[used], here.model.scales, prior=np.diag(hold)).root
-    return np.asarray(np.linalg.norm(left_out(columns, here.rows.whiten(y).reshape(y.shape), used), axis=1))
 
 
 def _same_set(problem: Linearized, chosen: dict[str, int]) -> State:

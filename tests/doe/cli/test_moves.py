@@ -232,18 +232,15 @@ def test_a_row_that_breaks_a_constraint_and_a_way_point_that_is_not_seen(folder:
     )
 
 
-def with_vias(text: str) -> str:
-    """A table with the column `kind`, and before each row a way-point, of which all but the joints is empty."""
-    header, *rows = text.splitlines()
-    via = ",".join("7.5" if name.startswith("q") else "" for name in header.split(","))
-    return "\n".join([f"{header},kind", *(f"{via},via\n{row},measure" for row in rows), ""])
-
-
 def test_way_points_change_nothing_in_a_plan_or_in_measurements(folder: Folder) -> None:
     """Plans, measurements and kept postures are read as without them, and nothing is said of them."""
     folder.simulated()
     for name in ("plan", "data"):
-        folder.write(f"{name}_vias.csv", with_vias(folder.read(f"{name}.csv")))
+        # with the column `kind`, and before each row a way-point, of which all but the joints is empty
+        header, *rows = folder.read(f"{name}.csv").splitlines()
+        via = ",".join("7.5" if column.startswith("q") else "" for column in header.split(","))
+        table = [f"{header},kind", *(f"{via},via\n{row},measure" for row in rows), ""]
+        folder.write(f"{name}_vias.csv", "\n".join(table))
         for carried_out in (False, True):
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore" if (name, carried_out) == ("data", False) else "error")

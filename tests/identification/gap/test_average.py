@@ -193,6 +193,7 @@ def test_a_range_begins_after_the_hole() -> None:
     np.testing.assert_allclose(around(ends, *measured_range(angles)), np.radians([3.0, 3.0, 181.0, 179.0]))
     np.testing.assert_array_equal(around(np.array([-np.pi, np.pi]), -np.pi, np.pi), [-np.pi, np.pi])
     assert measured_range(angles[:3]) == (angles[0], angles[2])  # the gap outside is wider
+    assert measured_range(np.array([np.nextafter(-0.3, 0.0), -0.3, 1.0])) == (-0.3, 1.0)  # alike around the circle
 
 
 def test_what_physics_bounds_is_held_there_and_all_else_gives_way() -> None:

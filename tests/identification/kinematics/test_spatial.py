@@ -91,8 +91,7 @@ def postures(chain: KinematicChain, count: int) -> Array:
 
 def test_what_there_is_to_find() -> None:
     """Two joints that turn about z and one that slides along z: of each the errors across and about its own axis that
-    its offset does not make, of the first none beside the base that moves it, and no place of a point that none turns.
-    """
+    its offset does not make, of the first none beside the base that moves it, nor where a point is that none turns."""
     turning = Joint("turning", pose((0.0, 0.0, 100.0), np.eye(3)), np.array([0.0, 0.0, 1.0]))
     joints = (turning, turning, replace(turning, type=PRISMATIC))
     arm = KinematicChain(joints, np.eye(4), np.eye(4), {"1": np.array([1.0, 2.0, 3.0])})
@@ -146,7 +145,9 @@ def test_pinocchio_agrees() -> None:
     tip = chain.measured(chain.frames(symbols, named)[-1], named).origin
     read = vectorize(ca.Function("tip", [symbols, p], [tip, ca.jacobian(tip, p)]))
     for q in postures(chain, 20):
-        placed = [value for joint, angle in zip(chain.joints, q, strict=True) for value in _pinocchio(joint, angle)]
+        placed = np.where([joint.type == PRISMATIC for joint in chain.joints], q / 1000.0, q).tolist()  # a slide in m
+        pan = [joint.name for joint in chain.joints].index("pan")  # continuous: a point on the unit circle
+        placed[pan : pan + 1] = np.cos(q[pan]), np.sin(q[pan])
         pinocchio.framesForwardKinematics(model, data, np.array(placed))
         position, jacobian = read(q, np.zeros(len(names)))
         np.testing.assert_allclose(position[..., 0], 1000.0 * data.oMf[frame].translation, atol=1e-9)
@@ -157,13 +158,6 @@ def test_pinocchio_agrees() -> None:
             errors = [f"{kind}_{axis}:{j}" for kind in ("translation", "rotation") for axis in "xyz"]
             columns = jacobian[:, [names.index(name) for name in errors]]
             np.testing.assert_allclose(columns, regressor[:, first : first + 6] * scale, atol=1e-9)
-
-
-def _pinocchio(joint: Joint, position: float) -> list[float]:
-    """A continuous joint is a unit circle there, a slide in metres."""
-    if joint.type == PRISMATIC:
-        return [position / 1000.0]
-    return [np.cos(position), np.sin(position)] if joint.name == "pan" else [position]
 
 
 def test_bad_joints_are_one_line() -> None:
