@@ -34,7 +34,7 @@ class Rows:
     postures : (m, n) [rad];  positions : (m, d) [mm];  order : (m,) rank of each row in time
     posture_numbers : (m,) equal numbers mark rows of one posture
     spread : (m, d, d) symmetric square root of the relative covariance of each row, None: the same for all
-    correlation : of consecutive rows, lag 1, in the noise that lasts;  lasting : its share of the variance
+    correlation : lag-1 correlation of the noise between consecutive rows
     sigma : standard deviation [mm] of a whitened coordinate as given by the data, None: not given
     shared : variance that all rows of one posture have in common, relative to that of each row
     """
@@ -46,7 +46,6 @@ class Rows:
     posture_numbers: NDArray[np.int64]
     spread: Array | None = None
     correlation: float = 0.0
-    lasting: float = 1.0
     sigma: float | None = None
     shared: float = 0.0
 
@@ -80,24 +79,20 @@ class Rows:
             spread=None if self.spread is None else self.spread[index],
         )
 
-    dimension = property(lambda self: self.positions.shape[1])  # d, coordinates per row
-    sequence = property(lambda self: np.argsort(self.order, kind="stable"))  # (m,) rows in the order of measurement
+    @property
+    def dimension(self) -> int:
+        """d, coordinates per row."""
+        return int(self.positions.shape[1])
 
-    @cached_property
-    def _memory(self) -> Array:
-        """(2, m) in order of measurement, by the filter of R. E. Kalman (1960): what is expected of the next row per
-        deviation of this one from what was expected, and the deviations' standard deviations."""
-        memory, variance = np.empty((2, len(self))), self.lasting  # of the lasting part, before the row is seen
-        for k in range(len(self)):
-            every = variance + 1.0 - self.lasting
-            memory[:, k] = self.correlation * variance / every, np.sqrt(every)
-            variance = self.lasting + self.correlation**2 * (variance - variance**2 / every - self.lasting)
-        return memory
+    @property
+    def sequence(self) -> NDArray[np.int64]:
+        """(m,) row numbers in the order of measurement."""
+        return np.argsort(self.order, kind="stable")
 
     @property
     def log_determinant(self) -> float:
         """Log determinant of the relative covariance of all m d coordinates."""
-        memory = 2.0 * self.dimension * np.sum(np.log(self._memory[1])) if self.correlation else 0.0
+        memory = self.dimension * (len(self) - 1) * np.log1p(-(self.correlation**2))
         spread = 0.0 if self.spread is None else 2.0 * np.sum(np.linalg.slogdet(self.spread)[1])
         common = np.log1p(self.shared * np.bincount(self.posture_numbers))
         return float(memory + spread + self.dimension * np.sum(common))
@@ -113,13 +108,13 @@ class Rows:
             np.add.at(sums, numbers, values)
             taken = (1.0 - (1.0 + counts * self.shared) ** -0.5) / counts
             values = values - (sums * taken[:, None, None])[numbers]
-        if self.correlation:  # from each row what those before predict
-            expected, white = np.zeros(values.shape[1:]), np.empty_like(values)
-            for row, gain, deviation in zip(self.sequence, *self._memory, strict=True):
-                new = values[row] - expected
-                white[row] = new / deviation
-                expected = self.correlation * expected + gain * new
-            values = white
+        if self.correlation:  # from each row what the previous one predicts, for a first-order autoregression
+            rho, order = self.correlation, self.sequence
+            ordered = values[order] / np.sqrt(1.0 - rho**2)
+            ordered[1:] -= rho * ordered[:-1]
+            ordered[0] = values[order[0]]
+            values = np.empty_like(values)
+            values[order] = ordered
         return values.reshape(-1, *shape[2:])
 
 

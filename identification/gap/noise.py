@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -15,8 +14,7 @@ from identification.gap.likelihood import orthonormal
 UNEVEN = 0.05  # prior probability of each kind of noise that is not white
 LASTING = 5e-4  # the same where it lasts as a drift does; with less, such noise is called a drift now and then
 RATIOS = (0.5, 2.0, 8.0, 32.0)  # of the further variance to the white one; numerical: likelihoods are flat over a step
-CORRELATIONS = (0.2, 0.4, 0.6, 0.8, 0.95, 0.98, 0.995)  # of one row with the next; numerical, as `RATIOS`
-SHARES = (1.0, 0.65, 0.3)  # of the variance that lasts, beside that of each row; numerical, as `RATIOS`
+CORRELATIONS = (0.2, 0.4, 0.6, 0.8, 0.95)  # of one row with the next; numerical, as `RATIOS`
 
 
 class NoiseModel(NamedTuple):
@@ -59,10 +57,10 @@ def noises(at: Fitted) -> Iterator[NoiseModel]:
                 spread = vectors * deviations[:, None, :] @ vectors.transpose(0, 2, 1)
                 uneven = replace(rows, spread=spread if rows.spread is None else rows.spread @ spread)
                 yield NoiseModel(name, sign * ratio, uneven, float(np.log(UNEVEN / kinds)))
-    for rho, share in (pairs := [*product(CORRELATIONS, SHARES)]):
+    for rho in CORRELATIONS:
         # errors that stay alike for a fifth of the session are likelier a drift, which is a block of time
-        prior = float(np.log((UNEVEN if (1.0 - rho) * m >= 5.0 else LASTING) / len(pairs)))
-        yield NoiseModel("serial_correlation", rho * share, replace(rows, correlation=rho, lasting=share), prior)
+        prior = float(np.log((UNEVEN if (1.0 - rho) * m >= 5.0 else LASTING) / len(CORRELATIONS)))
+        yield NoiseModel("serial_correlation", rho, replace(rows, correlation=rho), prior)
     if rows.posture_numbers.max() + 1 < m:
         for ratio in RATIOS:
             yield NoiseModel("repeats", ratio, replace(rows, shared=ratio), float(np.log(0.5 / len(RATIOS))))

@@ -346,12 +346,11 @@ def posterior_of(
         top = top if names else search.climb(problem.products.state([(b, 2) for b in top.blocks]))
         chosen = {problem.blocks[b].label: size for b, size in top.key}
         effects = [problem.blocks[b] for b in top.blocks if problem.blocks[b].listed]
-        # the set with the odds of each noise, in units of the noise that was searched: with nothing, with the set, with
-        # its outlying rows alone, which noise of another kind may need, too, and without what noise may stand for
+        # the set with the odds of each noise, in units of the noise that was searched: with nothing, with the set, and
+        # with its outlying rows alone, which noise of another kind may need, too
         jacobian, each = here.linearized[1], []
         rows_only = [pair for pair in top.key if problem.blocks[pair[0]].row is not None]
-        inside = tuple(pair for pair in top.key if not problem.blocks[pair[0]].outside)
-        for key in dict.fromkeys([(), top.key, tuple(rows_only), inside]):
+        for key in dict.fromkeys([(), top.key, tuple(rows_only)]):
             one = search.products.state(key)
             columns = [jacobian[:, :, :0], *(problem.columns[b] @ problem.roots[b] for b in one.blocks)]
             free = jacobian[:, :, base] / at.model.scales[base]

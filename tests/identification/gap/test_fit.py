@@ -18,15 +18,16 @@ DRAWN = np.random.default_rng(8)
 
 @pytest.mark.parametrize("d", [2, 3])
 def test_a_covariance_of_every_row_and_a_memory_become_white(d: int) -> None:
-    """S_i (sqrt(l) a_i + sqrt(1 - l) new), a_i = rho a_(i-1) + sqrt(1 - rho^2) new, has covariance l S_i rho^|i-k| S_k,
-    without the l for i = k. The whitener undoes the spreads first, then the one memory of all rows: L C L^T = I."""
-    m, rho, lasting = 6, 0.6, 0.7
+    """Rows e_i = S_i a_i with a_i = rho a_(i-1) + sqrt(1 - rho^2) new have covariance S_i rho^|i-k| S_k.
+
+    For one memory of all rows the whitener undoes the spreads first, then the memory: L C L^T = I.
+    """
+    m, rho = 6, 0.6
     half = DRAWN.normal(size=(m, d, d))
     spread = half @ half.transpose(0, 2, 1) + np.eye(d)
     rows = Rows.of(Measurements(DRAWN.uniform(-1, 1, (m, 2)), DRAWN.normal(size=(m, d))))
-    rows = replace(rows, spread=spread, correlation=rho, lasting=lasting)
-    apart = np.abs(np.subtract.outer(range(m), range(m)))
-    memory = np.kron(np.where(apart, lasting * rho**apart, 1.0), np.eye(d))
+    rows = replace(rows, spread=spread, correlation=rho)
+    memory = np.kron(rho ** np.abs(np.subtract.outer(np.arange(m), np.arange(m))), np.eye(d))
     covariance = block_diag(*spread) @ memory @ block_diag(*spread)
     whitener = rows.whiten(np.eye(m * d).reshape(m, d, m * d))
     np.testing.assert_allclose(whitener @ covariance @ whitener.T, np.eye(m * d), atol=1e-10)
