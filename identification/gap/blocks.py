@@ -463,12 +463,13 @@ def _roots(grams: Array, before: Array, rows: int, blocks: Sequence[Block]) -> A
     grams : (K, p, p) products of their columns, projected off the base model;  before : (K, p) their squares before
         projection, at so many rows
 
-    An effect's prior covariance is the inverse of its information, a family's one common value with a relative scatter
-    of 0.3, as the joints are of one make; what is outside the library has its own columns scaled alone.
+    An effect's prior covariance is the inverse of its information, a family's one common value, in typical ones, with a
+    relative scatter of 0.3, as the joints are of one make; what is outside the library has its columns scaled alone.
     """
     traces, squares = np.trace(grams, axis1=1, axis2=2), np.sum(before, axis=1)
     # a torque about an axis that the load cannot turn is rounding, and no reason for a column
-    scales = [max((p.scale for p in b.effect.parameters), default=0.0) if b.effect else 0.0 for b in blocks]
+    parameters = [b.effect.parameters if b.effect else () for b in blocks]
+    scales = [max((p.scale for p in each), default=0.0) for each in parameters]
     visible = (traces > VISIBLE * squares) & (squares > (RANK_TOLERANCE * np.array(scales)) ** 2 * rows)
     inside = np.array([b.listed for b in blocks])
     # a column of which nothing is left beside others has no length to be scaled by
@@ -481,6 +482,7 @@ def _roots(grams: Array, before: Array, rows: int, blocks: Sequence[Block]) -> A
     factors = np.where(inside[:, None], np.sqrt(np.maximum(values, 1e-300) * counts), 1.0)
     roots = np.where(seen[:, None, :], vectors / factors[:, None, :] / lengths[:, :, None], 0.0)
     for k in (k for k in np.flatnonzero(visible).tolist() if blocks[k].family):
-        alike = 1.0 + 0.3**2 * np.eye(grams.shape[1])
+        typical = np.array([p.typical or 1.0 for p in parameters[k]])
+        alike = np.outer(typical, typical) * (1.0 + 0.3**2 * np.eye(len(typical)))
         roots[k] = np.linalg.cholesky(alike / np.sum(grams[k] * alike))
     return np.abs(roots) if grams.shape[1] == 1 else roots

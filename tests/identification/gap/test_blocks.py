@@ -10,11 +10,22 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from identification import Array, InputError, Measurements, Model, diagnose, load_arm, planar_chain, with_effects
+from identification import (
+    PRISMATIC,
+    Array,
+    InputError,
+    Measurements,
+    Model,
+    diagnose,
+    load_arm,
+    planar_chain,
+    with_effects,
+)
 from identification.arm import Arm, EffectSpec, Gravity
 from identification.effects import ArmState, Effect, Parameter, Setting, base, build
 from identification.gap.blocks import Block, Library, _roots, hypotheses
 from identification.gap.fit import Fitted, Rows
+from identification.kinematics.chain import DHRow, chain_of
 
 
 class Breathing(Effect):
@@ -173,3 +184,15 @@ def test_a_column_of_which_nothing_is_left_has_no_share() -> None:
     left = np.array([1.0, 1e-7])
     root = _roots(np.outer(left, left)[None], np.ones((1, 2)), 10, [Block.of(ARM, EffectSpec("base_drift"), 1.0)])[0]
     assert np.abs(root).max() == pytest.approx(1.0)
+
+
+def test_compliances_of_a_slide_and_a_joint_are_alike_in_typical_ones() -> None:
+    """In mm/N and rad/(N m), with a common value and a scatter of 0.3, whatever the rows show of either."""
+    chain = chain_of([DHRow(50.0, np.pi / 2, 300.0), DHRow(0.0, 0.0, 0.0, type=PRISMATIC, limits=(100.0, 500.0))])
+    family = Block.of(
+        Arm(chain, gravity=Gravity([0, 0, -9.8], [5, 5], [0.5, 0.5])), EffectSpec("joint_compliance"), 1.0
+    )
+    root = _roots(np.diag([1.0, 1e4])[None], np.array([[1.0, 1e4]]), 10, [family])[0]
+    deviations = root / np.array([[p.typical] for p in family.effect.parameters])
+    covariance = deviations @ deviations.T
+    np.testing.assert_allclose(covariance / covariance[0, 0], [[1.0, 1 / 1.09], [1 / 1.09, 1.0]])
