@@ -177,6 +177,11 @@ class Instrument:
         bases[:, :3, 3] = 3.0 * rows.reach * generator.uniform(-1.0, 1.0, (len(bases), 3))
         return self.searched(rows, bases)
 
+    def place_each(self, rows: Unplaced) -> list[Placement]:
+        """The same for each of k sets of rows, with frames (k, m, 4, 4) and readings (k, m, d)."""
+        sets = zip(rows.frames, rows.readings, strict=True)
+        return [self.place(rows._replace(frames=frames, readings=readings)) for frames, readings in sets]
+
     def searched(self, rows: Unplaced, bases: Array) -> Placement:
         """Base and measured point that explain readings best, of the base what they depend on, from bases (s, 4, 4)
         with the tools of the rows in turns; of a base that is known none is needed."""
@@ -326,11 +331,11 @@ def register_instrument(cls: type[Instrument]) -> type[Instrument]:
 
 # -- positions ---------------------------------------------------------------------------------------------------------
 def registered(points: Array, measured: Array) -> Array:
-    """(4, 4) pose that brings points (m, 3) closest to the measured ones (m, d) in least squares; in the plane, d = 2,
-    it is a turn about z."""
-    d = measured.shape[1]
-    center, target = points[:, :d].mean(axis=0), measured.mean(axis=0)
-    frame = np.eye(4)
-    frame[:d, :d] = nearest_rotation((measured - target).T @ (points[:, :d] - center))
-    frame[:d, 3] = target - frame[:d, :d] @ center
+    """(..., 4, 4) pose that brings points (..., m, 3) closest to the measured ones (..., m, d) in least squares; in the
+    plane, d = 2, it is a turn about z."""
+    d = measured.shape[-1]
+    center, target = (each.mean(axis=-2, keepdims=True) for each in (points[..., :d], measured))
+    frame = np.zeros((*measured.shape[:-2], 4, 4)) + np.eye(4)
+    frame[..., :d, :d] = nearest_rotation((measured - target).mT @ (points[..., :d] - center))
+    frame[..., :d, 3] = (target - center @ frame[..., :d, :d].mT)[..., 0, :]
     return frame
