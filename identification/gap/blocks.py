@@ -442,10 +442,10 @@ def linearized(library: Library, at: Fitted, wrong: Sequence[int] = (), outside:
             rest = (white - inside @ u.T).reshape(len(part), width, -1)
             before = np.einsum("pn,pn->p", white, white).reshape(len(part), width)
             turns = _roots(rest @ rest.transpose(0, 2, 1), before, len(rows), [blocks[k] for k in part])
-            seen, back_turned = np.any(turns != 0.0, axis=1), turns.transpose(0, 2, 1)
-            rest, inside = back_turned @ rest, back_turned @ inside.reshape(len(part), width, -1)
-            for i, k in enumerate(part):
-                roots[k], tables[k], taken[k] = turns[i][:, seen[i]], rest[i][seen[i]], inside[i][seen[i]]
+            unseen = np.count_nonzero(np.all(turns == 0.0, axis=1), axis=1)  # of each block the first
+            rest, inside = turns.mT @ rest, turns.mT @ inside.reshape(len(part), width, -1)
+            for k, first, turn, *rows_of in zip(part, unseen.tolist(), turns, rest, inside, strict=True):
+                roots[k], (tables[k], taken[k]) = turn[:, first:], (each[first:] for each in rows_of)
     shown = [k for k, root in enumerate(roots) if root.size]
     blocks, columns, roots = [blocks[k] for k in shown], [columns[k] for k in shown], [roots[k] for k in shown]
     table, across = np.concatenate(tables), np.concatenate(taken).T  # (P, N) whitened, off the base; (r, P)
