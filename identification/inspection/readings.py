@@ -23,7 +23,7 @@ from identification.kinematics.chain import TOOL, KinematicChain
 from identification.kinematics.counting import Counting
 from identification.kinematics.frames import to_angles
 from identification.kinematics.parameters import JOINT_OFFSET, PRISMATIC, REVOLUTE
-from identification.measurements import POINT, Measurements, rms_distance
+from identification.measurements import Measurements, rms_distance
 from identification.model import Model
 from identification.model.placed import placed_model, spread_rows
 
@@ -443,10 +443,12 @@ def data_warnings(measurements: Measurements, arm: Arm) -> list[str]:
     # as it is drawn; with one measured point where it has several and the rows name none
     chain = arm.chain.one_unnamed(measurements.marker_names)
     model, missed = Model(replace(arm, chain=chain, effects=(), calibration=None)), dict[str, float]()
+    tips, marker = chain.tip_frames(first.postures), first.numbers("marker")
     for name, read in other_orientations(turns).items():
-        rows = replace(first, orientations=read)
-        left = rows.positions - placed_model(model, rows).position(rows.postures, conditions=rows.conditions)
-        missed[name] = float(np.median(np.linalg.norm(left[:, POINT.stop :], axis=1))) / (chain.angle_scale or 1.0)
+        placed = placed_model(model, replace(first, orientations=read)).arm.chain
+        apart = (placed.base @ tips @ np.array([*placed.tools.values()])[marker])[:, :3, :3] - read
+        half = np.linalg.norm(apart, axis=(1, 2)) / np.sqrt(8.0)  # the sine of half the angle between them
+        missed[name] = 2.0 * float(np.arcsin(min(np.median(half), 1.0)))
         if missed[""] <= FAR * arm.machining.rotation:
             return []
     best = min(missed, key=missed.__getitem__)
