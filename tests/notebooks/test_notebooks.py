@@ -28,10 +28,11 @@ HANGS = 600  # [s] after which a cell is given up; how long they may take is for
 SMALLER = {  # notebook -> what the reader sees, and what runs instead of it
     "2": [("range(4, 21)", "(4, 12, 20)")],
     "3": [
-        ("tolerance=1e-4", "tolerance=1e-2"),
+        ("tolerance=1e-4, proof=1e-4", "tolerance=1e-2, proof=1e-2"),
         ("starts=20,", "starts=8,"),
         ("(50_000, 4)", "(5_000, 4)"),
         ("between=4, pause=2", "between=1, pause=1"),
+        ("animation(plan)", "animation(plan[:3])"),
         ("range(11)", "(0, 3, 9, 10)"),
     ],
     "4": [
@@ -39,7 +40,7 @@ SMALLER = {  # notebook -> what the reader sees, and what runs instead of it
         ("len(rows) == 8", "len(rows) == 4"),
         ("repeats=1,", "repeats=1, starts=[60],"),
     ],
-    "5": [("arm, runs=30)", "arm, runs=20, starts=1, seed=1)"), ("shuffled, [150])", "shuffled, [80])")],
+    "5": [("arm, runs=30)", "arm, runs=20, starts=1, seed=1)"), ("shuffled, [150])", "shuffled, [60])")],
     "6": [
         ("range(4, 13)", "(4, 8, 10, 12)"),
         ("{5: -0.28087, 7: -0.19865, 9: -0.13103, 10: -0.14288}", "{10: -0.14288}"),
