@@ -179,8 +179,7 @@ class Instrument:
 
     def place_each(self, rows: Unplaced) -> list[Placement]:
         """The same for each of k sets of rows, with frames (k, m, 4, 4) and readings (k, m, d)."""
-        sets = zip(rows.frames, rows.readings, strict=True)
-        return [self.place(rows._replace(frames=frames, readings=readings)) for frames, readings in sets]
+        return [self.place(rows._replace(frames=f, readings=y)) for f, y in zip(*rows[:2], strict=True)]
 
     def searched(self, rows: Unplaced, bases: Array) -> Placement:
         """Base and measured point that explain readings best, of the base what they depend on, from bases (s, 4, 4)

@@ -31,8 +31,7 @@ SMALLER = {  # notebook -> what the reader sees, and what runs instead of it
         ("tolerance=1e-4, proof=1e-4", "tolerance=1e-2, proof=1e-2"),
         ("starts=20,", "starts=8,"),
         ("(50_000, 4)", "(5_000, 4)"),
-        ("between=4, pause=2", "between=1, pause=1"),
-        ("animation(plan)", "animation(plan[:3])"),
+        ("animation(plan)", "animation(plan[:3], between=1, pause=1)"),
         ("range(11)", "(0, 3, 9, 10)"),
     ],
     "4": [

@@ -268,8 +268,7 @@ def test_a_table_of_the_other_convention_is_named(orientations: bool) -> None:
     """Rows as printed, each a turn about x, a shift along it, a turn about z and a shift along that: modified."""
     rows = [(0.0, 0.0, 380.0), (30.0, -np.pi / 2.0, 0.0), (440.0, 0.0, 435.0)]
     generator, frames = np.random.default_rng(2), []
-    q = generator.uniform(-1.5, 1.5, (40, 3))
-    for angles in q:
+    for angles in (q := generator.uniform(-1.5, 1.5, (40, 3))):
         frames.append(np.eye(4))
         for (a, alpha, d), angle in zip(rows, angles, strict=True):
             across, along = np.eye(4), np.eye(4)
