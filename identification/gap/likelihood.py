@@ -183,9 +183,8 @@ class State:
 
     @cached_property
     def change(self) -> tuple[Array, Array, Array, float]:
-        """From the set that it is like: (q, P) rows of V of the columns with another s^2, times their own s^2 if there
-        was one, and their scores (q,); by how much V changes, -rows^T inner^-1 rows, its (q, q) inner; and that of the
-        volume."""
+        """From the set that it is like: S (P, q), t (q,) and v (q,), with which V changes by -S v^-1 S^T, its
+        counterpart of c by -S v^-1 t, and R by -t v^-1 t; and by how much the log of the volume changes."""
         like = self if self.like is None else self.like
         differs, widths = self.variances != like.variances, self.products.widths
         place = np.flatnonzero(np.repeat(differs, widths)[like.columns])
@@ -193,6 +192,7 @@ class State:
         for block in {*others} - {*like.left}:
             own = self.products.gram[self.products.columns_of([block])]
             like.left[block] = own - own[:, like.columns] @ like.taken
+        # rows of V of the columns with another s^2, times their own s^2 if there was one, and their scores
         rows = np.concatenate([like.taken[place], *(like.left[block] for block in others)])
         columns = np.concatenate([like.columns[place], self.products.columns_of(others)])
         scores = np.concatenate([like.mean[place], like.remaining[0][columns[n:]]])
@@ -201,21 +201,22 @@ class State:
         inner = rows[:, columns]
         inner[:n, :n], inner[n:, :n] = -like.covariance[np.ix_(place, place)], inner[:n, n:].T
         inner += np.diag(factor * (factor / (new - old) + (old > 0.0)))
-        volume = np.linalg.slogdet(inner)[1] + np.sum(np.log(np.abs(new - old) / factor**2))
-        return rows, scores, inner, float(volume)
+        scale = np.abs(inner).max(axis=1, initial=0.0) ** -0.5  # else small ones would lose their digits
+        values, vectors = np.linalg.eigh(scale[:, None] * inner * scale)
+        volume = np.sum(np.log(np.abs(values / scale**2 * (new - old) / factor**2)))
+        vectors *= scale[:, None]
+        return rows.T @ vectors, scores @ vectors, values, float(volume)
 
     @cached_property
     def remaining(self) -> tuple[Array, tuple[Array, ...]]:
         """What the set leaves of all columns: (P,) V's counterpart of c, and of each group of `Products.alike` the
         blocks' own parts of V."""
         if self.like is None:
-            gram, mean, rows, taken = self.products.gram, self.mean, self.products.gram[self.columns], self.taken
+            gram, mean, one, other = self.products.gram, self.mean, self.products.gram[self.columns].T, self.taken.T
             scores, within = self.products.right, tuple(gram[i[:, :, None], i[:, None, :]] for i in self.products.alike)
         else:
-            (scores, within), (rows, missed, inner, _) = self.like.remaining, self.change
-            # an inverse would lose digits
-            mean, taken = (np.asarray(np.linalg.solve(inner, each)) for each in (missed, rows))
-        one, other = np.ascontiguousarray(rows.T), np.ascontiguousarray(taken.T)
+            (scores, within), (one, missed, values, _) = self.like.remaining, self.change
+            other, mean = one / values, missed / values
         pairs = zip(self.products.alike, within, strict=True)
         return scores - one @ mean, tuple(part - one[i] @ other[i].transpose(0, 2, 1) for i, part in pairs)
 
@@ -226,8 +227,8 @@ class State:
             left = self.products.squares - float(self.mean @ self.products.right[self.columns])
             volume = 2.0 * float(np.sum(np.log(np.diag(self.factor) * self.sizes)))
         else:
-            _, missed, inner, more = self.change
-            left = self.like.squares - float(missed @ np.linalg.solve(inner, missed))
+            _, missed, values, more = self.change
+            left = self.like.squares - float(missed @ (missed / values))
             volume = self.like.evidence[1] + more
         return max(left, LEAST * self.products.squares, 1e-300), volume
 
