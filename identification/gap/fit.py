@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.arrays import Array
 from identification.effects import Effect
+from identification.estimation import estimate
 from identification.estimation.doubts import FAR
 from identification.estimation.problem import Problem
 from identification.information import spectrum
@@ -195,13 +196,14 @@ class Fitted:
 
 
 def determined(arm: Arm, measurements: Measurements) -> Arm:
-    """`practical`, with what so many rows of so little scatter determine, too: three standard errors of a mean."""
-    minimal = practical(arm, measurements)
-    if minimal is arm:
+    """`practical`, with what so many rows of so little scatter determine, too: three standard errors of a mean. What
+    they say less of than its machining does, one such error, stays as drawn: free, it would fit noise, and axes that
+    may be anywhere fit contacts of no known size best where all pass through what is touched."""
+    if not arm.chain.redundant:
         return arm
-    base = fit(Model(with_sessions(minimal, measurements)), Rows.of(measurements))
-    least = 3.0 * base.sigma / float(np.sqrt(len(base.residual)))
-    return practical(arm, measurements, least) if least < PRACTICAL else minimal
+    scatter = estimate(Model(with_sessions(arm, measurements)), measurements).scatter or 0.0
+    error = scatter / float(np.sqrt(measurements.positions.size))
+    return practical(arm, measurements, float(np.median([error, PRACTICAL, 3.0 * error])))
 
 
 def fitted_arm(

@@ -333,11 +333,14 @@ def minimal(
         markers = np.arange(len(model.arm.chain.tools), dtype=float)[:, None] * np.ones(len(postures))
         parts = [(model, postures, [Conditions(marker=marker) for marker in markers])]
     bases, others = list[Array](), list[Array]()
+    off_by = {"mm": model.arm.machining.translation, "rad": model.arm.machining.rotation}
     for shown, postures, conditions in parts:
         parameters = shown.parameters
         first = (BASE, TOOL, JOINT_OFFSET, TRANSLATION_ERROR, ROTATION_ERROR)  # what is kept before what
         order, count = [k for kind in first for k in parameters.indices(kind)], len(parameters.indices(BASE))
-        sizes = [shown.prior.get(parameters[k].name, 1.0 / parameters[k].scale) for k in order]  # they can be off by
+        placing, anywhere = {*parameters.indices(BASE), *parameters.indices(TOOL)}, max(1.0, least / PRACTICAL)
+        # what they can be off by; where things stand may be anywhere
+        sizes = [anywhere / p.scale if k in placing else off_by[p.unit] for k, p in ((k, parameters[k]) for k in order)]
         columns = np.concatenate([shown.jacobian(postures, None, at) for at in conditions])
         columns = columns.reshape(-1, len(parameters))[:, order] * sizes
         bases.append(columns[:, :count])
