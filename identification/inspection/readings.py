@@ -292,7 +292,8 @@ def _of_drawing(arm: Arm, measurements: Measurements, search: bool, doubted: boo
         return Readings(written)
 
     (written,) = placed([written])
-    enough = min(DRAWN * arm.reach, written.rms / CLEARLY if doubted else np.inf)  # [mm] may be left
+    # [mm] may be left, and 1e-9 of the reach by rounding
+    enough = max(min(DRAWN * arm.reach, written.rms / CLEARLY if doubted else np.inf), 1e-9 * arm.reach)
     hopeless = 2.0 * max(enough, written.rms / CLEARLY)
     tried = {written: written.rms}
 
