@@ -191,7 +191,7 @@ def validate(arm: Arm, measurements: Measurements, refit: str = "base") -> Valid
 def drawing_residuals(arm: Arm, measurements: Measurements) -> Array:
     """(m, d) residuals [mm] of an arm as it is drawn, without effects and calibration, placed as a fit to these
     measurements places it: a base for each session, one place for a measured point that several sessions share."""
-    chain = replace(arm.chain, settled=arm.chain.drawn, fixed=frozenset())
+    chain = replace(arm.chain, fixed=frozenset())
     drawing = replace(arm, chain=chain, effects=(), calibration=None)
     return placed(with_sessions(drawing, measurements), measurements, measurements.conditions)[2]
 
@@ -245,7 +245,9 @@ def placed(
             raise InputError(f"{error}; or --refit base, which finds where they are") from None
         model = Model(replace(arm, chain=with_markers(chain, named)))
     else:
-        chain = replace(chain.one_unnamed(named.marker_names), settled=chain.drawn)
+        names = {*named.marker_names}  # where all that is measured is given, it stays there
+        is_given = TOOL in chain.settled and names <= {*chain.tools} and (names or len(chain.tools) == 1)
+        chain = replace(chain.one_unnamed(names), settled=chain.drawn | ({TOOL} if is_given else set()))
         model = placed_model(Model(replace(arm.with_base(anew=True), chain=chain)), named)
         measured = [name for k, name in enumerate(model.arm.chain.tools) if k in named.numbers("marker")]
         moved = (f"{SESSIONS}.", *(f"{TOOL}[{name}]." for name in measured))

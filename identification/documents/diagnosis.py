@@ -47,7 +47,7 @@ SCATTER = {  # kind of a finding -> what it is, before its size
 }
 NOISE_FROM = {"repeats": "repeats", "close_repeats": "repeats close in time", "sigma": "sigma_mm"}
 ABOUT_GAP = (
-    "RMS distance between model and measurement. Before: what armcal identify leaves. Expected on the data: less than "
+    "RMS distance between model and measurement. Before: a plain fit of the arm file. Expected on the data: less than "
     "{}, part of which a fit follows; on other rows: as the model predicts. A smaller gap alone does not prove a name."
 )
 ACROSS_SESSIONS = (

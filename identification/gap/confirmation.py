@@ -127,7 +127,7 @@ def confirm(
 class Gap(NamedTuple):
     """RMS distances between model and measurement [mm]; None where not available.
 
-    rms_before, rms_after : of the base model as `identify` fits it, and of the predicting model; both without outliers
+    rms_before, rms_after : of the base model, and of the predicting model; both without outliers
     held_out_before, held_out_after : of the same two models on the held-out data;  predicted : expected held-out value
     floor : noise floor, which no model can go below
     """

@@ -33,9 +33,9 @@ from identification.inspection.readings import read_differently
 from identification.kinematics.chain import KinematicChain
 from identification.kinematics.counting import joint_range
 from identification.kinematics.frames import from_angles, pose
-from identification.measurements import Measurements, distances, pooled_sessions
+from identification.measurements import Measurements, distances, pooled_sessions, rms_distance
 from identification.model.placed import with_sessions
-from identification.validate import Figures, beside_geometry, judged, prior_judged, validate
+from identification.validate import Figures, beside_geometry, drawing_residuals, judged, prior_judged, validate
 from tests.doe.six_axis import CHAIN, REFLECTOR
 from tests.identification.kinematics.test_spatial import tip_by_exponentials
 from tests.small_arm import drawn_arm, measured, random_postures, small_arm
@@ -463,3 +463,15 @@ def test_validation_finds_points_that_the_calibration_does_not_have() -> None:
     read = read_differently(arm, replace(unnamed, positions=10.0 * unnamed.positions), search=False)
     assert read.certain  # a file is looked at before it is validated
     assert "times those of the arm file" in read.sentences[0]
+
+
+def test_points_that_are_given_stay_where_they_are() -> None:
+    """The drawing is placed as a fit places the arm: with points given 7 mm beside those measured, none of both follows
+    them, and the fit is nearer to its rows."""
+    data, tools = cell(1, {}, seed=6), {name: at + 3.0 * MOVED for name, at in POINTS.items()}
+    arm = Arm(replace(CHAIN, tools=tools, settled=frozenset({"tool"})))
+    found = fit(data, arm)
+    validated = validate(replace(arm, calibration=found.calibration()), data)
+    assert validated.model.rms == pytest.approx(found.rms_after, rel=1e-3)
+    assert validated.nominal.rms == pytest.approx(rms_distance(drawing_residuals(arm, data)))
+    assert found.rms_after < validated.nominal.rms
