@@ -39,8 +39,8 @@ def diagnose(
     """Whether model and measurements disagree, which effect is missing, and whether adding it closes the gap.
 
     arm : its effects are part of the base model; whatever they do not fix is estimated again. A spatial arm is given a
-        minimal set of identifiable geometric parameters, without a prior, and the base that the closed form finds
-        (`determined`).
+        minimal set of geometric parameters that the data tell better than machining does, without a prior, and the
+        base that the closed form finds (`determined`).
     measurements : of one session, or of several distinguished by their column `session`, each with its own base
     holdout : measurements of the same arm, used for the confirmation only
     seed : the same seed gives the same diagnosis

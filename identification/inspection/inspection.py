@@ -168,8 +168,10 @@ def _problems(
     """What should be put right before anything is fitted, in sentences: the first kind of mistake that there is, since
     later ones may follow from it."""
     zeros, alone = list[str](), readings.better is None or readings.better.moved_zeros
+    apart = [] if fit is None else other_distances(arm, measurements, fit, drawing)
     if alone and fit is not None and fit.status is not Status.implausible and not fit.outlier_rows:
-        zeros = doubts.far_zeros(fit.model, fit.parameters)  # several at once, where another reading has one or two
+        # several at once, where another reading has one or two; they may make up for a distance
+        zeros = apart or doubts.far_zeros(fit.model, fit.parameters)
     read = readings.better is not None and readings.explained
     sentences = [] if read else other_convention(arm, measurements, drawing)
     sentences = sentences or data_warnings(measurements, arm) or ([] if zeros else readings.sentences)
@@ -180,7 +182,7 @@ def _problems(
         unexplained = (np.isin(rows, numbers) for numbers in (fit.outlier_rows, fit.unexplained_rows))
         sentences = doubts.moved_points(fit.model, fit.parameters, fit.residuals_after, measurements)
         sentences = sentences or doubts.far_rows(fit.residuals_after, measurements, arm, *unexplained)
-        sentences = sentences or other_distances(arm, measurements, fit)
+        sentences = sentences or apart
         # far from the rows of one arm, where noise is not the reason: effects that are not in the model leave less than
         # 1 % of the reach, a fit that explains something less than 80 % of what the drawing leaves
         noise = 3.0 * (arm.sigma or 0.0) * np.sqrt(arm.dimension)
@@ -249,9 +251,10 @@ def other_convention(arm: Arm, measurements: Measurements, drawing: float) -> li
     return [f'it looks as if the [[dh]] table is of the {named} convention: {gain}; write convention = "{named}"']
 
 
-def other_distances(arm: Arm, measurements: Measurements, fit: Identification) -> list[str]:
+def other_distances(arm: Arm, measurements: Measurements, fit: Identification, drawing: float) -> list[str]:
     """Which of the distances given to the instrument the rows contradict, in a sentence. None: a fit with them is near
-    the drawing and leaves hardly more than one without, or is far from it and leaves far less: then the arm differs."""
+    the drawing and leaves hardly more than one without, or is far from it and leaves far less: then the arm differs.
+    One of next to no arm leaves what it likes: one without then has to leave far less than the drawing [mm]."""
     instrument = fit.model.arm.chain.instrument
     released, known = instrument.released()
     if not known:
@@ -260,7 +263,8 @@ def other_distances(arm: Arm, measurements: Measurements, fit: Identification) -
     free = replace(arm, chain=replace(arm.chain, instrument=released.without_targets()))
     found = estimate(Model(with_sessions(free, measurements)), measurements)
     held, less = (float(np.sum(np.square(each.residuals_after))) for each in (fit, found))
-    far = _asked(fit) and found.rms_after < CLEARLY * fit.rms_after
+    most = drawing / CLEARLY if fit.status is Status.implausible else CLEARLY * fit.rms_after
+    far = _asked(fit) and found.rms_after < most
     if not (far or doubts.worth_freeing(held, less, len(known), found.dof, doubts.FALL**2)):
         return []
     by_rows = {row.name: (row.corrected or 0.0, row.std or 0.0) for row in found.corrected_values}

@@ -198,6 +198,10 @@ def test_distances_that_the_rows_contradict() -> None:
     half = arm(0.5, 0.5)
     assert estimate(Model(with_sessions(half, data)), data).status is Status.implausible
     assert inspect(half, data).problems[0].count("cups ") == 2
+    # a short bar in metres, which an arm of next to no size fits best
+    rough = rows(Exponentials(generator), {"A": CUPS["A"], "B": [450.0, -150.0, 100.0]}, 20, 1.0, generator)
+    (said,) = inspect(Arm(replace(drawing(), instrument=Socket(distances=(("A", "B", 0.05),)))), rough).problems
+    assert said.startswith("these rows contradict distances_mm: cups ")
 
 
 def test_rounding_is_that_of_an_arm_although_nothing_is_read() -> None:
