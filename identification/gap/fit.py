@@ -203,7 +203,7 @@ def determined(arm: Arm, measurements: Measurements) -> Arm:
         return arm
     scatter = estimate(Model(with_sessions(arm, measurements)), measurements).scatter or 0.0
     error = scatter / float(np.sqrt(measurements.positions.size))
-    return practical(arm, measurements, float(np.median([error, PRACTICAL, 3.0 * error])))
+    return practical(arm, measurements, float(np.clip(PRACTICAL, error, 3.0 * error)))
 
 
 def fitted_arm(
