@@ -80,13 +80,15 @@ def misread(arm: Arm, measurements: Measurements) -> tuple[list[str], bool]:
     return [f"implausible: {sentence}; armcal check says more" for sentence in reading.sentences], True
 
 
-def far_zeros(model: Model, parameters: Array) -> list[str]:
-    """Joints whose zero is another one than the drawing's; that of a planar arm's first is the frame's rotation;
-    as the controller counts."""
-    arm, values = model.arm, model.parameters.mapping(parameters)
-    offsets = np.array([values.get(f"{JOINT_OFFSET}:{j}", 0.0) for j in range(1, arm.links + 1)])
+def far_zeros(model: Model, parameters: Array, std: Array | None = None) -> list[str]:
+    """Joints whose zero is another one than the drawing's, by more than two standard deviations where these are known;
+    that of a planar arm's first is the frame's rotation; as the controller counts."""
+    arm, both = model.arm, (parameters, np.zeros_like(parameters) if std is None else std)
+    names = [f"{JOINT_OFFSET}:{j}" for j in range(1, model.arm.links + 1)]
+    offsets, deviations = (np.array([model.parameters.mapping(x).get(name, 0.0) for name in names]) for x in both)
     off = (arm.counting.matrix @ offsets + np.pi) % (2.0 * np.pi) - np.pi
-    turned = (np.abs(off) > FAR_ZERO) & [kind == REVOLUTE for kind in arm.joint_types]
+    least = np.maximum(FAR_ZERO, 2.0 * np.linalg.norm(arm.counting.matrix * deviations, axis=1))
+    turned = (np.abs(off) > least) & [kind == REVOLUTE for kind in arm.joint_types]
     far = ", ".join(f"{np.degrees(off[j]):.1f} deg at joint {j + 1}" for j in np.flatnonzero(turned) if j)
     return [f"zeros differ from the drawing's: {far}"] if far else []
 

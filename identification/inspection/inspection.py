@@ -171,7 +171,7 @@ def _problems(
     apart = [] if fit is None else other_distances(arm, measurements, fit, drawing)
     if alone and fit is not None and fit.status is not Status.implausible and not fit.outlier_rows:
         # several at once, where another reading has one or two; they may make up for a distance
-        zeros = apart or doubts.far_zeros(fit.model, fit.parameters)
+        zeros = apart or doubts.far_zeros(fit.model, fit.parameters, fit.std)
     read = readings.better is not None and readings.explained
     sentences = [] if read else other_convention(arm, measurements, drawing)
     sentences = sentences or data_warnings(measurements, arm) or ([] if zeros else readings.sentences)

@@ -61,6 +61,7 @@ def test_each_fault_has_its_sentence() -> None:
     beyond = np.flatnonzero(turned[:, 1] < -2.0)
     turned = turned + 2.0 * np.pi * np.isin(np.arange(40), (3, 4, 5))[:, None] * [0, 0, 1]
     said = f"{len(beyond)} of 40 postures lie outside the joint limits, the first in row {beyond[0] + 1}: joint 2 at "
+    rough = replace(few := data(6), positions=few.positions + np.random.default_rng(1).normal(0.0, 60.0, (6, 2)))
     for arm, rows, start, end in (
         (ARM, replace(good, postures=good.postures * [1, 1, -1]), "it looks as if joint 3 turns the other way: ", ""),
         (ARM, data(zero=0.5), "zeros differ from the drawing's: 28.9 deg at joint 2", ""),  # 0.004 and 0.5 rad
@@ -74,6 +75,7 @@ def test_each_fault_has_its_sentence() -> None:
         (ARM, replace(good, postures=np.radians(good.postures)), "it looks as if the joint angles are in radians", ""),
         (ARM, good.rows([*range(40), 5]), "1 of 41 rows is an exact copy of another (row 41 of row 6); ", ""),
         (replace(ARM, chain=np.array([500.0, 100.0, 200.0])), good, "the drawing is", ""),
+        (ARM, rough, "the drawing is 48", ": check lengths and columns"),  # joint 2 -5.3 deg, give or take as much
     ):
         (sentence,) = inspect(arm, rows).problems
         assert sentence.startswith(start)
