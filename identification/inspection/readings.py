@@ -353,7 +353,7 @@ def _of_drawing(arm: Arm, measurements: Measurements, search: bool, doubted: boo
 
     for change in (moved_zero, moved_zero, changed, changed_twice, counted, changed, changed):
         ranked = sorted(tried, key=tried.__getitem__)
-        if tried[ranked[0]] < enough:
+        if tried[simplest()] < enough:  # several changes may be near by chance
             break
         starts = ranked[:1] if change is moved_zero else [written]
         if change is changed:  # effort

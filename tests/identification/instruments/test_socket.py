@@ -14,6 +14,7 @@ import pytest
 from identification import Arm, Array, Identification, InputError, Measurements, Status, diagnose, estimate, spectrum
 from identification.estimation.problem import Problem
 from identification.gap.fit import fitted_arm
+from identification.inspection import readings
 from identification.inspection.inspection import inspect
 from identification.inspection.readings import read_differently
 from identification.instruments import Socket
@@ -106,6 +107,16 @@ def test_radians_of_an_arm_that_then_hardly_moves(table: tuple[tuple[float, floa
         data = rows(Exponentials(generator, table=table), {"A": CUPS["A"]}, 31, NOISE, generator)
         (said,) = read_differently(arm, replace(data, postures=np.radians(data.postures)), search=False).sentences
         assert said.startswith("it looks as if the joint angles are in radians")
+
+
+def test_swapped_columns_that_two_zeros_come_near(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The search goes on where two zeros leave what may be the drawing's and the better one of them alone does not."""
+    monkeypatch.setattr(readings, "DRAWN", 0.1)
+    arm = Arm(replace(drawing(SEVEN), instrument=Socket()), sigma=NOISE)
+    for generator in map(np.random.default_rng, (0, 1, 4)):
+        data = rows(Exponentials(generator, table=SEVEN), {"A": CUPS["A"]}, 11, NOISE, generator)
+        (said,) = read_differently(arm, replace(data, postures=data.postures[:, [0, 1, 2, 3, 4, 6, 5]])).sentences
+        assert said.startswith("it looks as if columns of joints 6 and 7 are swapped")
 
 
 def test_without_a_distance_the_size_is_open() -> None:
