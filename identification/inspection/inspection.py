@@ -177,7 +177,8 @@ def _problems(
     sentences = sentences or data_warnings(measurements, arm) or ([] if zeros else readings.sentences)
     if not sentences:
         sentences = [*doubts.another_frame(Model(arm), measurements), *other_frame(arm, readings.written)] or zeros
-    rows = np.arange(len(measurements)) + 1
+    rows, own = np.arange(len(measurements)) + 1, arm.chain.instrument.own_targets
+    moved = f"a {own} that was moved without a new name" if own else "an instrument that moved"
     if fit is not None and not sentences:
         unexplained = (np.isin(rows, numbers) for numbers in (fit.outlier_rows, fit.unexplained_rows))
         sentences = doubts.moved_points(fit.model, fit.parameters, fit.residuals_after, measurements)
@@ -188,13 +189,15 @@ def _problems(
         noise = 3.0 * (arm.sigma or 0.0) * np.sqrt(arm.dimension)
         if not sentences and fit.rms_after > max(0.01 * arm.reach, 0.8 * drawing, noise):
             left = f"a fit leaves {fit.rms_after:.4g} mm of the {drawing:.4g} mm that the drawing leaves"
-            mixed = "columns, units, rows or markers" if measurements.marker_names else "columns, units or rows"
+            thing, column = ("cup", "cup") if own == "cup" else ("reflector", "marker")
+            mixed = f"columns, units, rows or {column}s" if measurements.marker_names else "columns, units or rows"
             unnamed = arm.dimension == 3 and not measurements.marker_names
-            several = ", several reflectors without a column marker" if unnamed else ""
-            looked = f"look for {mixed} that are mixed up{several}, or an instrument that moved"
+            several = f", several {thing}s without a column {column}" if unnamed else ""
+            looked = f"look for {mixed} that are mixed up{several}, or {moved}"
             sentences = [f"{left}, so no geometry explains these rows: {looked}"]
     if not sentences and drawing > DRAWN * arm.reach:
-        sentences = [f"the drawing is {drawing:.4g} mm off, placed as well as it can be: check lengths and columns"]
+        off = f"the drawing is {drawing:.4g} mm off, placed as well as it can be: check lengths and columns"
+        sentences = [f"{off}{own and f', and look for {moved}'}"]
     if fit is None:
         return [*sentences, "too few rows for a fit of the geometry"]
     if sentences:
