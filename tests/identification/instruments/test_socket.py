@@ -201,12 +201,10 @@ def test_distances_that_the_rows_contradict() -> None:
         return Arm(replace(drawing(), instrument=Socket(distances=known)))  # type: ignore[arg-type]
 
     assert not inspect(arm(1.0, 1.0), data).problems
-    said = inspect(Arm(replace(drawing(), instrument=Socket())), replace(data, marker=None, marker_names=())).problems[
-        0
-    ]
+    unmarked = replace(data, marker=None, marker_names=())
+    said, *_ = inspect(Arm(replace(drawing(), instrument=Socket())), unmarked).problems
     assert said.endswith("several cups without a column cup, or a cup that was moved without a new name")
-    unnamed = Measurements(data.postures[:20], data.positions[:20])
-    assert inspect(arm(1.0, 1.0), unnamed).problems[0].endswith("other cups than the data (none is named)")
+    assert inspect(arm(1.0, 1.0), unmarked.rows(range(20))).problems[0].endswith("than the data (none is named)")
     (said,) = inspect(arm(1.0 + 30.0 / true[0][2], 1.0), data).problems
     assert said.startswith("these rows contradict distances_mm: cups A to B 45")  # of which 4 deviations are 3 mm
     assert "C to D" not in said
