@@ -10,22 +10,13 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from identification import (
-    PRISMATIC,
-    Array,
-    InputError,
-    Measurements,
-    Model,
-    diagnose,
-    load_arm,
-    planar_chain,
-    with_effects,
-)
+from identification import Array, InputError, Measurements, Model, diagnose, load_arm, planar_chain, with_effects
 from identification.arm import Arm, EffectSpec, Gravity
 from identification.effects import ArmState, Effect, Parameter, Setting, base, build
 from identification.gap.blocks import Block, Library, _roots, hypotheses
 from identification.gap.fit import Fitted, Rows
 from identification.kinematics.chain import DHRow, chain_of
+from identification.kinematics.parameters import PRISMATIC
 
 
 class Breathing(Effect):
