@@ -88,7 +88,7 @@ def urdf_files(path: PathLike, base: str | None = None, tip: str | None = None, 
     if file in (ARM, DATA, SCHEMA, STEPS):
         raise InputError(f"{path}: the name {file} is needed for another file, allowed: another name")
     limits = np.degrees([[j.lower, j.upper] for j in chain.joints if j.type == REVOLUTE]).round(4).reshape(-1, 2)
-    several = limits[:, 1] - limits[:, 0] > 360.0  # turns: a plan needs one, and a move of two seldom is free
+    several = limits[:, 1] - limits[:, 0] > 1.01 * 360.0  # turns: a plan needs one, and a move of two seldom is free
     limits[several] = np.add(np.mean(limits[several], axis=1, keepdims=True), [-180.0, 180.0])
     others = [end for end, other in chains.items() if end != tip and len(other) == len(chain)]
     values: dict[str, Any] = {
