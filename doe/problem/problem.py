@@ -196,9 +196,11 @@ class DesignProblem:
         """(..., d, p) dimensionless Jacobians B of (..., n) postures: Jacobian columns over their scales."""
         angles = np.atleast_2d(np.asarray(postures, dtype=float))
         require(angles.shape[-1] == self.joints, f"postures: shape {angles.shape}, allowed: (..., {self.joints})")
-        return np.asarray(self._evaluate(angles)[0])
+        return self._evaluate(angles)[0]
 
-    _evaluate = cached_property(lambda self: vectorize(self.scaled_jacobian_function))
+    @cached_property
+    def _evaluate(self) -> Callable[..., tuple[Array, ...]]:
+        return vectorize(self.scaled_jacobian_function)
 
     def information(self, postures: ArrayLike, weights: Array | None = None) -> Array:
         """(p, p) information per run M' = S (sum_i w_i J_i^T J_i) S; the mean over runs without weights.

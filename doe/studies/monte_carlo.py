@@ -104,9 +104,7 @@ class Study:
                     few = f"{runs} runs are too few for {arm.links} links"
                     postures = f"plan dft: {few}, allowed: at least {arm.links}"
                 elif name == DFT:
-                    # theta_j = 2 pi i j / m: every q_j = 2 pi i / m, in (-pi, pi] (doe/README.md, Information matrix)
-                    turn = 2.0 * np.pi * np.arange(runs) / runs
-                    postures = np.tile(np.where(turn > np.pi, turn - 2.0 * np.pi, turn)[:, None], (1, arm.links))
+                    postures = dft_postures(arm.links, runs)
                     inside = np.all((postures >= arm.lower) & (postures <= arm.upper), axis=1)
                     outside = np.flatnonzero(~(inside & DesignProblem.of(arm).feasible(postures)))
                     if outside.size:
@@ -156,6 +154,12 @@ def make_plan(key: dict[str, Any], seed: np.random.SeedSequence, arm: Arm) -> li
     number = int(seed.generate_state(1)[0])
     design = solve(DesignProblem.of(arm), key["runs"], key["plan"], seed=number, seconds=key["limit_s"])
     return [{"postures_deg": design.plan.displayed.tolist(), "efficiency": design.efficiency}]
+
+
+def dft_postures(links: int, runs: int) -> Array:
+    """(m, n) theta_j = 2 pi i j / m, so every q_j = 2 pi i / m, in (-pi, pi] (doe/README.md, "Information matrix")."""
+    turn = 2.0 * np.pi * np.arange(runs) / runs
+    return np.tile(np.where(turn > np.pi, turn - 2.0 * np.pi, turn)[:, None], (1, links))
 
 
 # what a block of replications needs: the arm as the fit knows it and as it really is, the plan (m, n), None: a random

@@ -114,7 +114,7 @@ def test_every_effect_by_its_parameters(name: str) -> None:
     cls, generator = OF_MODELS[name], np.random.default_rng(3)
     settings = {"k": 5.0, "at": 0.13, "side": 1.0, "tau": 0.4, "width_deg": 20.0, "sessions": 2.0, "other": 1.0}
     effect = EffectSpec(name, None if cls.per_joint == "none" else 2, {key: settings[key] for key in cls.settings})
-    in_space = BAR if "distance" in cls.needs else Arm(CHAIN, gravity=GRAVITY)
+    in_space = BAR if "distance" in cls.needs else arms()[0]
     for arm in (arm for arm in (PLANAR, in_space) if arm.dimension in cls.dimensions):
         model = Model(arm.with_effects(EffectSpec("joint_compliance"), effect))
         rows = Measurements(POSTURES, np.zeros((ROWS, model.dimension)), session=["a", "b"] * 4 + ["b"])

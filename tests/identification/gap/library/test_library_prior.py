@@ -103,13 +103,13 @@ def test_own_effects_have_no_prior_and_keep_their_values() -> None:
 
 @pytest.mark.parametrize("share", [2.0, 0.25])
 def test_the_error_expected_at_the_tip_is_that_of_arms_of_the_prior(share: float) -> None:
-    """8 arms with twice of everything drawn from it, or a quarter, an error of its own at every posture included,
-    measured at 40 postures and judged at others. The mean squares of the arms scatter by a fifth, their mean by 7 %:
+    """12 arms with twice of everything drawn from it, or a quarter, an error of its own at every posture included,
+    measured at 40 postures and judged at others. The mean squares of the arms scatter by a fifth, their mean by 6 %:
     three of them."""
     library, generator = library_prior(replace(ARM, sigma=0.02)), np.random.default_rng(12)
     model, own, expected, reached = Model(library.arm), library.prior.own_error, [], []
     sizes = model.parameters.vector(library.prior.deviations, default=0.0)
-    for _ in range(8):
+    for _ in range(12):
         postures = generator.uniform(-np.pi, np.pi, (240, 2))
         real = model.position(postures, share * sizes * generator.standard_normal(len(sizes)))
         real = real + share * own * generator.standard_normal((240, 2))
@@ -119,7 +119,7 @@ def test_the_error_expected_at_the_tip_is_that_of_arms_of_the_prior(share: float
         missed = real[40:] - fit.model.position(postures[40:], fit.parameters)
         expected.append(fit.expected_tip**2)
         reached.append(np.mean(np.sum(missed**2, axis=1)))
-    assert np.mean(expected) == pytest.approx(np.mean(reached), rel=0.21)
+    assert np.mean(expected) == pytest.approx(np.mean(reached), rel=0.2)
     bare, own = replace(fit, prior=replace(library.prior, own_error=0.0)), fit.prior.own_error
     assert expected[-1] == pytest.approx(bare.expected_tip**2 + 2.0 * own**2, rel=1e-9)
 
