@@ -197,17 +197,14 @@ class Fitted:
 
 def determined(arm: Arm, measurements: Measurements) -> Arm:
     """`practical`, with what so many rows of so little scatter determine, too: three standard errors of a mean. What
-    they say less of than its machining does, one such error, stays as a fit with the prior of the machining has it, by
-    the sizes that this fit found likeliest: free, it would fit noise, and axes that may be anywhere fit contacts of no
-    known size best where all pass through what is touched."""
+    they say less of than its machining does, one such error, stays as drawn, by the sizes that are likeliest in a fit
+    with the prior of the machining: free, it would fit noise, and axes that may be anywhere fit contacts of no known
+    size best where all pass through what is touched."""
     if not arm.chain.redundant:
         return arm
     found = estimate(Model(with_sessions(arm, measurements)), measurements)
-    names, known = found.model.geometry_parameters.names, arm.calibration or Calibration({})
-    geometry = {name: value for name, value in found.calibration().values.items() if name in names}
     error = (found.scatter or 0.0) / float(np.sqrt(measurements.positions.size))
-    least = float(np.clip(PRACTICAL, error, 3.0 * error)) / (found.machining_factor or 1.0)
-    return practical(replace(arm, calibration=replace(known, values=known.values | geometry)), measurements, least)
+    return practical(arm, measurements, float(np.clip(PRACTICAL, error, 3.0 * error)), found.prior.deviations)
 
 
 def fitted_arm(

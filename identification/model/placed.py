@@ -12,6 +12,7 @@ Which of several equivalent ones is kept is a choice: those that an engineer loo
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -316,7 +317,10 @@ def led_to_contact(model: Model, postures: Array, goals: Array, units: Array, ta
 
 # -- a minimal set of parameters ---------------------------------------------------------------------------------------
 def minimal(
-    model: Model, least: float = DISTINCT, parts: Sequence[tuple[Model, Array, Sequence[Conditions]]] = ()
+    model: Model,
+    least: float = DISTINCT,
+    parts: Sequence[tuple[Model, Array, Sequence[Conditions]]] = (),
+    sizes: Mapping[str, float] = MappingProxyType({}),
 ) -> Model:
     """The model of a spatial arm with a minimal set of geometric parameters, free of any prior; the others are zero, or
     what a calibration says.
@@ -324,6 +328,7 @@ def minimal(
     least : [mm] what the smallest parameter that counts moves a coordinate by, see `DISTINCT`
     parts : model, postures and conditions of each session, which has a base of its own, where these show less than
         postures inside the limits; none: every measured point at any of these
+    sizes : parameter name -> what it can be off by [API unit], where that is not of the machining
     Where the measured points lie decides how many there are: for points that are to be found, of `placed_model`.
     """
     from scipy.linalg import block_diag  # deferred: fits with a prior need none of this
@@ -338,11 +343,14 @@ def minimal(
         parameters = shown.parameters
         first = (BASE, TOOL, JOINT_OFFSET, TRANSLATION_ERROR, ROTATION_ERROR)  # what is kept before what
         order, count = [k for kind in first for k in parameters.indices(kind)], len(parameters.indices(BASE))
-        placing, anywhere = {*parameters.indices(BASE), *parameters.indices(TOOL)}, max(1.0, least / PRACTICAL)
+        placing = {*parameters.indices(BASE), *parameters.indices(TOOL)}
         # what they can be off by; where things stand may be anywhere
-        sizes = [anywhere / p.scale if k in placing else off_by[p.unit] for k, p in ((k, parameters[k]) for k in order)]
+        wide = [
+            0.1 * shown.reach / p.scale if k in placing else sizes.get(p.name, off_by[p.unit])
+            for k, p in ((k, parameters[k]) for k in order)
+        ]
         columns = np.concatenate([shown.jacobian(postures, None, at) for at in conditions])
-        columns = columns.reshape(-1, len(parameters))[:, order] * sizes
+        columns = columns.reshape(-1, len(parameters))[:, order] * wide
         bases.append(columns[:, :count])
         others.append(columns[:, count:])
     numbers = independent(np.column_stack([block_diag(*bases), np.concatenate(others)]), least)
@@ -351,10 +359,16 @@ def minimal(
     return _fixing(model, (parameters[k].name for k in order if k not in kept))
 
 
-def practical(arm: Arm, measurements: Measurements, least: float = PRACTICAL) -> Arm:
+def practical(
+    arm: Arm,
+    measurements: Measurements,
+    least: float = PRACTICAL,
+    sizes: Mapping[str, float] = MappingProxyType({}),
+) -> Arm:
     """A spatial arm for fits without a prior: base and measured points where the closed form finds them, and what
-    measurements hardly determine (`least`, as of `minimal`) at their postures as drawn: of joints that stand still, of
-    a level surface where axes lie along it. A planar arm, and a spatial one whose set was chosen, stays as it is."""
+    measurements hardly determine at their postures as drawn: of joints that stand still, of a level surface where axes
+    lie along it. A planar arm, and a spatial one whose set was chosen, stays as it is;  least, sizes : as of `minimal`
+    """
     if not arm.chain.redundant:
         return arm
     model, instrument = Model(arm), arm.chain.instrument
@@ -371,7 +385,7 @@ def practical(arm: Arm, measurements: Measurements, least: float = PRACTICAL) ->
         (_fixing(placed_model(model, rows), longest), rows.postures, [rows.conditions])
         for rows in ([measurements] if in_one_frame else sessions)
     ]
-    return minimal(_fixing(placed, longest), least, parts).arm
+    return minimal(_fixing(placed, longest), least, parts, sizes).arm
 
 
 def _fixing(model: Model, names: Iterable[str]) -> Model:
