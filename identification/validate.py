@@ -56,6 +56,7 @@ class Validation(Documented, ReadOnly):
     refit : what was refitted, `base`, `offsets` or `none`, in each session separately
     refitted : session, name, unit and value of each refitted parameter, in file units
     residuals, nominal_residuals : (m, d) measured less computed [mm], by the model and by the drawing
+    refit_nominal : what was refitted for the drawing
     left_open : combinations of what was to be refitted that the rows do not determine
     """
 
@@ -65,6 +66,7 @@ class Validation(Documented, ReadOnly):
     refitted: tuple[Mapping[str, Any], ...]
     residuals: Array
     nominal_residuals: Array
+    refit_nominal: str
     left_open: int = 0
 
     # over all rows, of the calibrated model, and of the drawing, refitted in the same way
@@ -98,6 +100,7 @@ class Validation(Documented, ReadOnly):
         return {
             "rows": len(self.residuals),
             "refit": self.refit,
+            "refit_nominal": self.refit_nominal,
             **millimetres(self.model),
             **millimetres(self.nominal, "_nominal"),
             **dict(zip(("rms_deg", "rms_nominal_deg"), self.rms_angles, strict=False)),
@@ -113,7 +116,7 @@ class Validation(Documented, ReadOnly):
         arm, measurements, refit = self.arm, self.measurements, self.refit
         after, before = (distances(residuals) for residuals in (self.residuals, self.nominal_residuals))
         # where the squares saved are no more than groups of rows, by time or by region of posture, scatter by
-        chance = chance_of_gain(before, after, measurements)
+        chance = chance_of_gain(before, after, measurements, len(self.refitted))
         if self.model.rms < self.nominal.rms and chance > LEVEL_95 / 2.0:
             share = 100.0 * self.model.rms / self.nominal.rms
             of_drawing = f"{share:.0f} % of the RMS error of the drawing, refitted in the same way"
@@ -184,8 +187,10 @@ def validate(arm: Arm, measurements: Measurements, refit: str = "base") -> Valid
         what = instrument.target or "center"
         raise InputError(f"refit none: no calibrated file says where each {what} is, allowed: base, which finds it")
     refitted, residuals, left_open = _refitted(arm, measurements, refit)
-    nominal = _refitted(replace(arm, effects=(), calibration=None), measurements, refit)[1]
-    return Validation(arm, measurements, refit, tuple(refitted), residuals, nominal, left_open)
+    # a drawing that does not say where it stands is placed: the file's base is of the calibrated geometry
+    as_drawn = refit if refit != "none" or arm.chain.settled >= {BASE, TOOL} else "base"
+    nominal = _refitted(replace(arm, effects=(), calibration=None), measurements, as_drawn)[1]
+    return Validation(arm, measurements, refit, tuple(refitted), residuals, nominal, as_drawn, left_open)
 
 
 def drawing_residuals(arm: Arm, measurements: Measurements) -> Array:
@@ -232,7 +237,7 @@ def placed(
     (p,), (m, d) residuals [mm], and how many combinations of the values the rows determine.
 
     The offsets of the first joint, and of the last where points are to be found, stay: base and points stand for these.
-    Raises `InputError` for fewer numbers than values.
+    Raises `InputError` for no more numbers than values.
     """
     chain, named, free = arm.chain, session, set[str]()
     if len(chain.tools) == 1 == len(session.marker_names):
@@ -256,14 +261,19 @@ def placed(
             free |= {f"{JOINT_OFFSET}:{j}" for j in range(2, arm.links + (TOOL in chain.settled))}
     model = replace(model, held={name: value for name, value in model.best_known.items() if name not in free})
     values = start_at_base(model, named, conditions)
-    if session.positions.size < (p := len(values)):
+    if session.positions.size <= (p := len(values)) > 0:
         place = ": session ".join([str(session.provenance.get("file", "measurements")), *session.sessions])
-        allowed = f"allowed: at least {-(-p // session.dimension)} rows in each session"
+        allowed = f"allowed: at least {p // session.dimension + 1} rows in each session"
         raise InputError(f"{place}: too few for {p} refitted parameters, {len(session)} in all, {allowed}")
     weights = np.ones(len(session)) if session.sigma is None else session.sigma**-2.0
     problem = Problem(model, session.postures, conditions, session.positions[None], weights)
-    values = problem.minimized(values[None]).parameters[0] if p else values
     determined = spectrum(problem.rows_about(values)[1], model.scales).rank if p else 0
+    if determined < p and not (chain.settled or chain.instrument.own_targets):  # what is left open stays as in the file
+        stands, here = arm.chain.standing_in(Model(arm).best_known), model.arm.chain
+        tools = {name: stands.tools.get(name, at) for name, at in here.tools.items()}
+        model = replace(model, arm=replace(model.arm, chain=replace(here, base=stands.base, tools=tools)))
+        problem, values = replace(problem, model=model), np.zeros(p)
+    values = problem.minimized(values[None]).parameters[0] if p else values
     return model, values, problem.residuals(values)[0], determined
 
 
@@ -279,10 +289,12 @@ def offer(
     return {"by": by, "rows": rows, **lengths, "better": model[0] < geometry[0] and p <= LEVEL_95 / 2.0}
 
 
-def beside_geometry(by: str, geometry: Array, model: Array, measurements: Measurements) -> dict[str, Any]:
-    """`offer` from residuals (m, d) [mm] of the same rows."""
+def beside_geometry(
+    by: str, geometry: Array, model: Array, measurements: Measurements, fitted: int = 0
+) -> dict[str, Any]:
+    """`offer` from residuals (m, d) [mm] of the same rows;  fitted : as of `chance_of_gain`"""
     before, after = distances(geometry), distances(model)
-    p_value = chance_of_gain(before, after, measurements)
+    p_value = chance_of_gain(before, after, measurements, fitted)
     alone, whole = ((rms_distance(left), float(np.max(distances(left)))) for left in (geometry, model))
     return offer(by, len(model), whole, alone, p_value, by == "holdout")
 
@@ -293,11 +305,12 @@ def judged(diagnosis: Diagnosis, arm: Arm, measurements: Measurements, holdout: 
     Where nothing is missing nothing is offered. A hold-out that was measured between the data says it as it confirms
     the model: what happened once, a drift or a step, is in its rows, too. In others both are placed as `validate`
     places them, so that the figures are those that it gives of the files of `diagnose --out` and of `identify --out`.
-    Without a hold-out the cross-validation over postures says it.
+    Without a hold-out, or with one of too few rows, the cross-validation over postures says it.
     """
     if diagnosis.verdict == "none" or not diagnosis.predicting.specs:
         return diagnosis
-    tests = diagnosis.cross_validation if holdout is None else (diagnosis.confirmation,)
+    decides = diagnosis.confirmation is not None and diagnosis.confirmation.confirmed is not None
+    tests = (diagnosis.confirmation,) if decides else diagnosis.cross_validation
     test = next((test for test in tests if test and test.transfer == "other postures" and not test.refitted), None)
     if test is not None:
         after, before = (test.after_mm, test.max_after_mm), (test.before_mm, test.max_before_mm)
@@ -310,10 +323,11 @@ def judged(diagnosis: Diagnosis, arm: Arm, measurements: Measurements, holdout: 
     fit = estimate(Model(with_sessions(arm, kept)), kept)
     geometry = replace(arm, calibration=without_sessions(fit.calibration()))
     try:
-        alone, extended = (validate(each, holdout).residuals for each in (geometry, diagnosis.extended_arm()))
+        alone, extended = (validate(each, holdout) for each in (geometry, diagnosis.extended_arm()))
     except InputError:  # too few rows to place the arm
         return diagnosis
-    return replace(diagnosis, offered=beside_geometry("holdout", alone, extended, holdout))
+    judges = alone.residuals, extended.residuals, holdout, len(extended.refitted)
+    return replace(diagnosis, offered=beside_geometry("holdout", *judges))
 
 
 def prior_judged(

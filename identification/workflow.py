@@ -17,7 +17,7 @@ from functools import cache, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NewType, ParamSpec
 
-from identification.document import Answer, Document, Files
+from identification.document import Answer, Document, Files, in_a_sentence
 from identification.errors import InputError, require
 from identification.files.io import read_bytes, read_text, read_toml, write_together
 from identification.running import Progress, Status
@@ -487,7 +487,7 @@ def diagnose_files(
     held_out = None if holdout is None else load_sessions([holdout], loaded)
     loaded, _ = with_servo_errors(loaded, measurements)
     diagnosis = judged(diagnose(loaded, measurements, held_out, seed, progress), loaded, measurements, held_out)
-    result, names, files = diagnosis.to_json(), [*map(str, (arm, *data))], Files()
+    result, names, files, lines = diagnosis.to_json(), [*map(str, (arm, *data))], Files(), list[str]()
     against = [f"not confirmed: {holds_in_words(test)[1]}" for test in tests_of(result) if test["confirmed"] is False]
     if out is not None and refuted(result) and not force:
         warnings.warn(f"{out} was not written: not confirmed; --force writes it anyway", stacklevel=2)
@@ -495,11 +495,14 @@ def diagnose_files(
         model = diagnosis.extended_arm(diagnosis.named if named_only else None)
         assert model.calibration is not None  # a diagnosis has one
         files |= arm_files(arm, model.effects, model.calibration, out, "extended arm")
+        if named_only:
+            left = f"it leaves {in_a_sentence(diagnosis.named.rms)} mm RMS of the data"
+            lines.append(f"{out} has what is named alone: {left}; other figures are of the model that predicts best")
     if report is not None:
         nominal = rms_distance(drawing_residuals(diagnosis.arm, measurements))
         read = [arm, *data, *([] if holdout is None else [holdout])]
         files[report] = "page", page(diagnosis.document(names, out, nominal), read)
-    document, doubts = diagnosis.document(names, out), [*diagnosis.warnings, *against[:1]]
+    document, doubts = diagnosis.document(names, out).plus(*lines), [*diagnosis.warnings, *against[:1], *lines]
     return Answer(result | {"files": names}, document, diagnosis, warnings=doubts, files=files)
 
 

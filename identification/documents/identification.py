@@ -305,7 +305,7 @@ def validation_verdict(data: Data, model: str = "the model", rows: str = "") -> 
     seen, unit, drawn = FITTED in data["notes"], data.get("reading_unit", "mm"), data["rms_nominal_mm"]
     which = f"{rows}, which it was fitted to," if seen else f"{rows},"
     which = which if rows else "the model's own measurements," if seen else "other measurements,"
-    figures = f"from {drawing_in_words(drawn, data['refit'], unit)} to {in_a_sentence(data['rms_mm'])} {unit}"
+    figures = f"from {drawing_in_words(drawn, data['refit_nominal'], unit)} to {in_a_sentence(data['rms_mm'])} {unit}"
     gain = 1.0 - data["rms_mm"] / drawn if drawn else 0.0
     share = f"{100.0 * gain:.{1 if gain >= 0.995 else 0}f}" if gain < 0.9995 else "more than 99.9"
     chance = "" if is_better(data) else f", which {BY_CHANCE}"

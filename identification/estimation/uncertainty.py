@@ -476,13 +476,14 @@ def groups_of(measurements: Measurements, kept: NDArray[np.bool_] | None = None)
     return intervals, np.unique(regions, return_inverse=True)[1][number]
 
 
-def chance_of_gain(before: Array, after: Array, measurements: Measurements) -> float:
+def chance_of_gain(before: Array, after: Array, measurements: Measurements, fitted: int = 0) -> float:
     """One-sided p-value of the squares that a model saves in these rows, as a share of what it and the other leave in
     each group: of squares themselves, which differ tenfold between rows, Student's t sees little.
 
-    before, after : (m,) distances [mm]
+    before, after : (m,) distances [mm];  fitted : numbers that were fitted to these rows in both, which make what is
+        left of few rows alike: 1 where less than two whole rows are left
     """
-    chances = []
+    chances = [float(measurements.positions.size - fitted < 2 * measurements.dimension)]
     for groups in groups_of(measurements):
         was, left = (np.bincount(groups, distance**2) for distance in (before, after))
         shares = (was - left) / np.maximum(was + left, np.finfo(float).tiny)

@@ -31,7 +31,7 @@ from identification.gap.search import CREDIBLE, MOST, NEGLIGIBLE, Posterior
 from identification.information import spectrum
 from identification.kinematics.chain import CorrectedGeometry
 from identification.kinematics.counting import joint_range
-from identification.measurements import Conditions, Measurements, repeats_of
+from identification.measurements import Conditions, Measurements, repeats_of, rms_distance
 from identification.model import Model
 from identification.model.placed import without_sessions
 
@@ -146,6 +146,7 @@ class Candidate:
     calibration : all estimates with their covariance;  parameters : those of the effects, for people
     limits_95 : name of a parameter of base or effects -> its 95 % interval [API units], cut at physical bounds
     uncertainty : of these estimates, the basis of the 95 % intervals
+    rms : of what they leave of the rows that they were fitted to [mm]
     probability : that exactly these effects are missing, None where it is not that of these names
     delta_bic : -2 log odds to the best set
     """
@@ -157,6 +158,7 @@ class Candidate:
     parameters: tuple[Estimate, ...]
     limits_95: Mapping[str, tuple[float, float]]
     uncertainty: Uncertainty
+    rms: float
     probability: float | None = None
     delta_bic: float = 0.0
 
@@ -189,6 +191,7 @@ class Candidate:
             tuple(Estimate(p.name, p.file_unit, *(row * p.to_file).tolist()) for p, row in figures if p.name in names),
             dict(zip(model.names, map(tuple, limits.tolist()), strict=True)),
             sure,
+            rms_distance(fitted.errors),
         )
 
     @property
@@ -327,8 +330,10 @@ class Diagnosis(Documented):
         fitted = chosen.calibration if in_sessions else without_sessions(chosen.calibration)
         entries: dict[str, Any] = {name: value for name, value in self.measurements.origin.items() if name != "rows"}
         entries |= {"verdict": self.verdict, "sentence": self.sentence}
-        better = None if self.offered is None else self.offered["better"]
-        optional = {"confirmed": self.confirmed, "better_than_geometry": better, **self.gap.to_json()}
+        better, gap = None if self.offered is None else self.offered["better"], self.gap
+        optional = {"confirmed": self.confirmed, "better_than_geometry": better, **gap.to_json()}
+        if candidate is not None:  # nothing else is known of it
+            optional = Gap(gap.rms_before, candidate.rms, gap.floor).to_json()
         entries |= {name: value for name, value in optional.items() if value is not None}
         entries["delta_bic"] = {c.title: c.delta_bic for c in self.candidates if c.effects}
         entries["probability"] = self.probability

@@ -50,7 +50,7 @@ def test_a_fit_and_a_validation_in_a_sentence_each() -> None:
     assert "from 3.00 to 0.250 mm" in identification_verdict(fit)
     assert f"{drawing} 0.250 mm" in identification_verdict(fit | {"rms_drawing_mm": 1.0})
     assert f"{drawing[:10]}px" in identification_verdict(fit | {"rms_drawing_mm": 1.0, "reading_unit": "px"})
-    figures = {"rows": 7, "rms_mm": 0.1, "p95_mm": 0.2, "rms_nominal_mm": 1.0, "refit": "base", "notes": []}
+    figures = {"rows": 7, "rms_mm": 0.1, "p95_mm": 0.2, "rms_nominal_mm": 1.0, "refit_nominal": "base", "notes": []}
     said = validation_verdict(figures | {"notes": [FITTED]}, "c.toml", "d.csv")
     assert said.startswith(f"On 7 rows of d.csv, which it was fitted to, c.toml takes the RMS error {drawing} 0.100 mm")
     assert "this says nothing about others" in said
