@@ -31,8 +31,8 @@ TIP_ERRORS = {
     "effects_missing_prior": "library\nprior\n[mm]",
 }
 RIGHT = (
-    "Expected tip errors at poses that were not measured, if the model is right: RMS over the workspace, and at the "
-    "worst pose."
+    "Expected tip errors at poses that were not measured, if the model is right: RMS over random ones in the "
+    "workspace, and at the worst of these."
 )
 BOUND_CUT = (
     "The time limit ended the search for the bound: plans may be better than their efficiency says. Raise --seconds "

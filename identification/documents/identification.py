@@ -114,6 +114,11 @@ def identification_document(fit: Identification, data: Data | None = None, hidde
     data = fit.to_json() if data is None else data
     values = [row for row in fit.corrected_values if row.parameter not in hidden]
     tables: list[Part] = [*dh_sections(*fit.dh[:2])]
+    of_effects = {p.name for p in fit.model.parameters if p.of_effect}
+    if tables and (beside := [row for row in values if row.parameter in of_effects]):
+        tables.append(
+            corrected_section("Effects, for which the table has no place (armcal compensate corrects commands)", beside)
+        )
     if values and not tables:
         tables = [corrected_section("Corrected values", values)]
         slides = fit.arm is not None and fit.arm.chain.rows and PRISMATIC in fit.arm.joint_types

@@ -426,8 +426,10 @@ def contradicted(problem: Problem, prior: Prior, x: Array) -> Contradiction | No
     residual, jacobian = problem.linearized(x)
     noise = likeliest(alone, x, residual, jacobian)[0]
     decomposed = spectrum(jacobian, model.scales, prior=replace(alone, noise=noise).prior_rows)
-    freedom = problem.equations - decomposed.determined(jacobian)
-    if problem.reliance == "given" or (problem.sigma is not None and noise == 1.0):
+    freedom = max(problem.equations - decomposed.determined(jacobian), 0.0)
+    if problem.sigma is not None and chdtrc(max(freedom, 1.0), freedom * noise**2) > 0.01:  # sigma, within chance
+        noise, freedom = 1.0, np.inf
+    elif problem.reliance == "given":
         freedom = np.inf
     if freedom < 1.0 or noise <= 1e-12:  # [mm] data without any
         return None

@@ -214,6 +214,8 @@ def test_a_drawing_in_denavit_hartenberg_numbers_gets_them_corrected(folder: Fol
     corrections, _, rest = shown.partition("Corrected Denavit-Hartenberg table")[2].partition("base: ")
     assert all(f" {name} " in corrections for name in lengths)
     assert "tool 1: x [mm]" in rest
+    folder.write("geared.toml", f'{folder.read("ur10.toml")}\n[[effects]]\nname = "gear_ratio"\njoint = 3\n')
+    assert " gear_ratio:3." in folder.armcal("identify geared.toml some.csv").out  # for which the table has no place
     assert lengths["row 2 a"] == pytest.approx(-612.8, abs=0.5)  # of all rows -612.82 with 0.11
     folder.said("report calibrated.toml --out page.html")
     assert all(name in folder.read("page.html") for name in (*lengths, *said["dh_places"]))

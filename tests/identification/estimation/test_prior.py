@@ -374,3 +374,11 @@ def test_an_error_of_degrees_accuses_no_length() -> None:
         one = with_prior(earlier, of_complex(generator, 10, moved)).contradiction
         assert one is not None
         assert one.name == f"joint_offset:{1 + seed % 3}"
+
+
+def test_few_rows_with_their_sigma_accuse_a_zero_that_moved() -> None:
+    """By 0.15 deg; four rows, which by chance scatter by more than sigma in some of the sets."""
+    for seed in range(24):
+        generator = np.random.default_rng([5, seed])
+        earlier, moved = before(generator), TRUTH + np.radians(0.15) * np.eye(6)[3 + seed % 3]
+        assert with_prior(earlier, of_complex(generator, 4, moved)).contradiction is not None

@@ -76,6 +76,8 @@ def test_names_a_clear_effect_and_the_extended_arm_has_it(name: str) -> None:
     assert named.gap.rms_after < named.gap.rms_before
     refitted = identify(Model(named.extended_arm(named.named)), data)
     assert refitted.rms_before == pytest.approx(refitted.rms_after, rel=1e-6)  # what is named is the best fit
+    said = named.extended_arm(named.named).provenance  # nothing that is known of the predicting model alone
+    assert (said["rms_after_mm"], "better_than_geometry" in said) == (pytest.approx(refitted.rms_after), False)
     left = data.positions - Model(named.extended_arm()).position(data.postures, None, data.conditions)
     assert np.sqrt(np.mean(np.sum(left**2, axis=1))) == pytest.approx(named.gap.rms_after, rel=1e-6)  # nothing is lost
     if name == "link_bending":

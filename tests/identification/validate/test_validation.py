@@ -326,8 +326,10 @@ def test_rows_between_the_data_have_the_drift_of_their_time() -> None:
 
 
 def test_without_a_hold_out_other_postures_say_it() -> None:
-    data = session(0.0, 8e-4)
-    found = judged(diagnose(ARM, data), ARM, data, None)
+    data, few = session(0.0, 8e-4), session(0.0, 8e-4, seed=9).rows(np.arange(2))  # which say nothing
+    found, two = (judged(diagnose(ARM, data, held), ARM, data, held) for held in (None, few))
+    assert two.confirmed is None
+    assert two.offered == found.offered
     test = next(test for test in found.cross_validation if test.transfer == "other postures")
     assert found.offered is not None
     assert (found.offered["by"], found.offered["better"]) == ("cross-validation", True)
@@ -348,6 +350,7 @@ def test_a_gain_in_every_row_is_none_by_chance_however_the_rows_differ() -> None
     shares = stats.ttest_1samp(saved / both, 0.0, alternative="greater")
     assert chance_of_gain(before, after, data) == pytest.approx(shares.pvalue, rel=1e-9)
     assert shares.pvalue < 1e-4
+    assert chance_of_gain(before, after, data, 13) == 1.0  # of 16 numbers, which leaves them alike
     sizes = np.exp(rng.normal(size=(1000, 8, 1)))
     one, two = (np.linalg.norm(sizes * rng.normal(size=(1000, 8, 3)), axis=2) for _ in range(2))
     called = np.mean([chance_of_gain(*pair, data) <= 0.025 for pair in zip(one, two, strict=True)])
@@ -457,6 +460,10 @@ def test_validation_finds_points_that_the_calibration_does_not_have() -> None:
         with pytest.raises(InputError, match=r"measurements.*marker.*; or --refit base"):
             validate(arm, rows, "none")
     assert not any("reflector" in note for note in validate(arm, second).notes)
+    # the drawing stands nowhere: it is placed, wherever a second fit began
+    again = fit(first, arm).calibrated_arm()
+    drawn = [validate(each, first, refit).nominal.rms for each in (arm, again) for refit in ("base", "none")]
+    assert drawn == pytest.approx([drawn[0]] * 4, rel=1e-6)
     of_one = validate(arm, only_a)  # of the other, which these rows have not, nothing is refitted
     assert {row["name"].partition(".")[0] for row in of_one.refitted} == {"base", "tool[A]"}
     assert not any("what is refitted" in note or "leave open" in note for note in of_one.notes)
