@@ -7,21 +7,11 @@ import pytest
 
 from doe.studies.blind.cells import CellSpec, arm_of, truth_of
 from doe.studies.blind.simulator import noise, recorded, session
-from identification import (
-    Arm,
-    DHRow,
-    EffectSpec,
-    Gravity,
-    Measurements,
-    Model,
-    chain_of,
-    detectability,
-    diagnose,
-    estimate,
-    rms_distance,
-)
+from identification import Arm, DHRow, EffectSpec, Gravity, Measurements, Model, chain_of, detectability, diagnose
+from identification.estimation import estimate
 from identification.gap.blocks import hypotheses, untested_joints
 from identification.gap.fit import Fitted, Rows, determined, fit
+from identification.measurements import rms_distance
 from tests.identification.exponentials import Exponentials, drawing, seated
 
 ARM = Arm(drawing(), sigma=0.05)
