@@ -30,9 +30,7 @@ TESTED = {  # module -> tests that must notice, in tests/identification and test
     "identification/gap/search.py": "gap/test_search.py",
     "identification/effects/base.py": "effects model",
     "identification/effects/formulas.py": "effects model ../doe/studies/blind/test_simulator.py",
-    **{
-        f"identification/instruments/{name}.py": "instruments test_lengths.py" for name in ("cups", "distance", "probe")
-    },
+    **{f"identification/instruments/{k}.py": "instruments test_lengths.py" for k in ("cups", "distance", "probe")},
     "identification/instruments/base.py": "instruments",
     "doe/bounds/planar_theorem.py": "bounds/test_planar_theorem.py",
     "doe/bounds/certificate.py": "bounds/test_certificate.py bounds/test_column_generation.py",

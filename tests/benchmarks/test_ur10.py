@@ -71,9 +71,7 @@ def shown_diagnosis(arm: Arm, parts: tuple[Measurements, Measurements]) -> float
     """RMS [mm] on the second part of what `diagnose` finds in the first."""
     diagnosis = diagnose(arm, *parts)
     gap, names = diagnosis.gap, ", ".join(diagnosis.effects) or "none"
-    print(
-        f"\ndiagnose: {gap.held_out_before:.3f} -> {gap.held_out_after:.3f} mm, predicted {gap.predicted:.3f}", end=""
-    )
+    print(f"\ndiagnose: {gap.held_out_before:.3f} -> {gap.held_out_after:.3f} mm, expected {gap.predicted:.3f}", end="")
     print(f", confirmed: {diagnosis.confirmed}; {diagnosis.verdict}, {names}, {len(diagnosis.curves)} curves", end="")
     return float(gap.held_out_after or np.inf)
 
@@ -97,9 +95,7 @@ def test_space_held_out(series: str, tmp_path: Path) -> None:
     parts = halves(load_measurements(SPATIAL[series], arm))
     fit = estimate(Model(arm), parts[0])
     drawing, geometry = validate(fit.calibrated_arm(), parts[1]).nominal.rms, left(fit, parts[1])
-    print(
-        f"\nspace, {series}, halves: geometry {geometry:.3f}, drawing with base and reflector {drawing:.3f} mm", end=""
-    )
+    print(f"\nspace, {series}, halves: geometry {geometry:.3f}, drawing, base and reflector {drawing:.3f} mm", end="")
     assert geometry < 0.6 * drawing
     assert shown_diagnosis(arm, parts) < 0.2
     file = tmp_path / "poses.toml"
@@ -207,9 +203,7 @@ def test_chosen_with_the_library_in_mind(series: str, runs: int) -> None:
     random = [generator.choice(len(data), runs, replace=False) for _ in range(100)]
     errors = [np.array([fit.error(rows) for rows in random]) for fit in fits]
     held, least = (np.median(each) for each in errors)
-    print(
-        f"\n{series}, {runs} of {len(data)}: random with the prior {held:.3f}, by least squares {least:.3f} mm", end=""
-    )
+    print(f"\n{series}, {runs} of {len(data)}: random with the prior {held:.3f}, least squares {least:.3f} mm", end="")
     plain = DesignProblem.of(Model(SHEET), choices=offered)
     for name, case in (("robust", robust_problem(plain)), ("D", plain)):
         way, nothing = (0 if case.fit else 1), Bound(np.inf, "continuous")  # none is computed

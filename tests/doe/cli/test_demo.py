@@ -37,11 +37,7 @@ def test_demo_runs_the_whole_loop(folder: Folder) -> None:
 
 @pytest.mark.parametrize(
     ("words", "step", "directory"),
-    [
-        ("--json", "diagnose", "armcal-demo"),
-        ("--out half", "diagnose", "half"),
-        ("--spatial --out six", "solve", "six"),
-    ],
+    [("--json", "diagnose", "armcal-demo"), ("--out half", "diagnose", "half"), ("--spatial --out s", "solve", "s")],
 )
 def test_ctrl_c_says_which_files_are_left(
     folder: Folder, monkeypatch: pytest.MonkeyPatch, words: str, step: str, directory: str
@@ -56,5 +52,5 @@ def test_ctrl_c_says_which_files_are_left(
     assert (done.code, f"the files in {directory}" in done.err) == (1, True)
     assert (folder.path / directory / "data.csv").exists() == (step == "diagnose")
     assert not (folder.path / directory / "report.html").exists()
-    assert ('kind = "spatial"' in folder.read(f"{directory}/arm.toml")) == (directory == "six")
+    assert ('kind = "spatial"' in folder.read(f"{directory}/arm.toml")) == (directory == "s")
     assert folder.armcal(f"demo --out {directory}").code == 2  # without --force

@@ -26,7 +26,7 @@ DESIGN = "design bad.toml --runs 8 --out out.file"
 SIMULATE = "simulate arm.toml plan.csv --truth bad.toml --out out.file"
 FIT, SCORE = "identify bad.toml data.csv", "score arm.toml bad.csv"
 BARE = ARM.partition("[measurement]")[0]
-ONE_POSTURE = [f"10,20,-30,{40 + 1e-6 * k:.7f},{300 + 0.1 * (k % 7)},{90 - 0.1 * (k % 5)}\n" for k in range(60)]
+ONE_POSTURE = "".join(f"10,20,-30,{40 + 1e-6 * k:.7f},{300 + 0.1 * (k % 7)},{90 - 0.1 * (k % 5)}\n" for k in range(60))
 COMMANDS = "q1_deg,q2_deg,q3_deg,q4_deg,x_mm,y_mm,error_mm,reachable\n1,2,3,4,5,x,0.1,1\n"
 Case = tuple[str | list[str], list[str], dict[str, str]]
 
@@ -50,9 +50,7 @@ CASES: list[Case] = [
     case("relax arm.toml --grid 3 --candidates plan.csv", "--grid; without --candidates"),
     case("advise arm.toml --target-mm -1", "--target-mm; found -1; allowed: > 0"),
     case("diagnose arm.toml Cal.TOML", "Cal.TOML; arm file", Cal_TOML=ARM + CALIBRATION),
-    case(
-        "discriminate arm.toml bad.csv --runs 1", "60 rows of 1 posture; at least 4", csv=HEADER + "".join(ONE_POSTURE)
-    ),
+    case("discriminate arm.toml bad.csv --runs 1", "60 rows of 1 posture; at least 4", csv=HEADER + ONE_POSTURE),
     # arms and measurements in space
     case("identify arm.toml data.csv --urdf x.urdf", "--urdf; planar"),
     case(FIT, "'z_mm'", toml=SPATIAL),
@@ -132,9 +130,7 @@ CASES: list[Case] = [
     case(f"design arm.toml --runs 8 --out {LONG}", "cannot be written"),
     case(f"design {LONG} --runs 8", "cannot be read"),
     case(
-        f"study study.toml --workers 1 --out {LONG}",
-        "File name too long",
-        study=STUDY + 'plans = ["random"]\nruns = [6]\n',
+        f"study study.toml --workers 1 --out {LONG}", "File name too long", study=f'{STUDY}plans=["random"]\nruns=[6]'
     ),
     case("design arm.toml --runs 8 --out arm.toml/plan.csv", "'arm.toml'; folder"),
     case("design one --runs 8", "one"),
@@ -162,9 +158,7 @@ def loop(folder: Folder) -> Folder:
     return folder
 
 
-@pytest.mark.parametrize(
-    ("words", "named", "files"), CASES, ids=[re.sub(r"\W+", "_", f"{words}"[:60]) for words, *_ in CASES]
-)
+@pytest.mark.parametrize(("words", "named", "files"), CASES, ids=[re.sub(r"\W+", "_", f"{w}"[:60]) for w, *_ in CASES])
 def test_what_cannot_be_done_is_one_line(
     loop: Folder, words: str | list[str], named: list[str], files: dict[str, str]
 ) -> None:

@@ -154,9 +154,7 @@ def test_fewer_rows_than_parameters_are_enough() -> None:
 
 
 CHAIN = replace(
-    chain_of(
-        [DHRow(0.0, np.pi / 2, 300.0), DHRow(400.0, 0.0, 0.0), DHRow(80.0, np.pi / 2, 50.0), DHRow(60.0, 0.0, 90.0)]
-    ),
+    chain_of([DHRow(0, np.pi / 2, 300.0), DHRow(400.0, 0, 0), DHRow(80.0, np.pi / 2, 50.0), DHRow(60.0, 0.0, 90.0)]),
     tools={"1": np.array([60.0, 20.0, 30.0])},
     base=np.eye(4),
 )

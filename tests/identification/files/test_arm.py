@@ -82,29 +82,26 @@ def same(a: object, b: object) -> None:
 
 # -- reading -----------------------------------------------------------------------------------------------------------
 def test_every_documented_key_is_read(tmp_path: Path) -> None:
-    degree = np.pi / 180.0
+    deg = np.pi / 180.0
     expected = Arm(
         chain=[260.0, 180.0, 120.0, 100.0],
-        lower=degree * np.array([-180.0, -120.0, -100.0, -90.0]),
-        upper=degree * np.array([180.0, 120.0, 60.0, 90.0]),
+        lower=deg * np.array([-180.0, -120.0, -100.0, -90.0]),
+        upper=deg * np.array([180.0, 120.0, 60.0, 90.0]),
         sigma=0.1,
         name="paper-4-link",
         gravity=Gravity(readonly([0, -9.81]), readonly([12, 8, 5, 3]), readonly([0.5, 0.4, 0.5, 0.5]), 10.0),
         constraints=(
             WorkspaceBox((-400.0, 600.0), (0.0, 650.0)),
             KeepOut((350.0, 200.0), 60.0),
-            LineOfSight((1500.0, 300.0), 25.0 * degree, (0.0, 200.0)),
+            LineOfSight((1500.0, 300.0), 25.0 * deg, (0.0, 200.0)),
         ),
-        effects=(
-            EffectSpec("base_offset"),
-            EffectSpec("encoder_eccentricity", 2, {"a": 0.03 * degree, "b": -0.01 * degree}),
-        ),
+        effects=(EffectSpec("base_offset"), EffectSpec("encoder_eccentricity", 2, {"a": 0.03 * deg, "b": -0.01 * deg})),
         calibration=Calibration.of(
             length_errors=readonly([1.5, -0.6, -0.4, 0.7]),
-            joint_offsets=degree * np.array([0.5, -0.5, 0.7, -0.3]),
+            joint_offsets=deg * np.array([0.5, -0.5, 0.7, -0.3]),
             effects={"base_offset.x0": 2.5},
             parameter_names=("length_error:1", "joint_offset:2", "base_offset.x0"),
-            covariance=np.array([[1, 0.5 * degree, 0], [0.5 * degree, 4 * degree**2, 0], [0, 0, 9]]),
+            covariance=np.array([[1, 0.5 * deg, 0], [0.5 * deg, 4 * deg**2, 0], [0, 0, 9]]),
             provenance={"file": "data.csv", "rms_after_mm": 0.1},
         ),
     )

@@ -11,6 +11,7 @@ from identification.files.urdf import read_urdf
 from identification.kinematics.frames import from_roll_pitch_yaw, pose
 from tests.refusals import refused
 
+XACRO = '<xacro:arm xmlns:xacro="http://www.ros.org/wiki/xacro"/>'
 URDF = Path(__file__).parents[2] / "data" / "spatial" / "six_axis.urdf"
 ENDS = ("world", "tool0")
 HALF = np.pi / 2.0
@@ -77,16 +78,8 @@ def test_blank_lines_and_comments_stay(tmp_path: Path) -> None:
     [
         ("<?xml", "<!DOCTYPE robot [<!ENTITY a 'b'>]><?xml", "found <!DOCTYPE, allowed: XML without document types"),
         ("</robot>", "", "not XML: no element found.*allowed: a URDF file"),
-        (
-            'name="lift" type="revolute"',
-            'name="lift" type="floating"',
-            "'lift' of the chain is of type 'floating'.*base link",
-        ),
-        (
-            '<axis xyz="1 0 0"/>',
-            '<axis xyz="1 0 0"/><mimic joint="pan"/>',
-            "'roll' of the chain mimics another.*tip link",
-        ),
+        ('"lift" type="revolute"', '"lift" type="floating"', "'lift' of the chain is of type 'floating'.*base link"),
+        ('xyz="1 0 0"/>', 'xyz="1 0 0"/><mimic joint="pan"/>', "'roll' of the chain mimics another.*tip link"),
         ('<axis xyz="0 1 0"/>\n    <limit', '<axis xyz="0 0 0"/>\n    <limit', "axis 0 0 0, allowed: a direction"),
         ('lower="-0.4" ', "", "'slide': limit, lower or upper is missing, allowed: both for a prismatic joint"),
         ('lower="-2.8"', 'lower="2.9"', "'elbow': limits 2.9 to 2.8, allowed: lower < upper"),
@@ -96,11 +89,7 @@ def test_blank_lines_and_comments_stay(tmp_path: Path) -> None:
         ('name="roll"', 'name="lift"', "joint 'lift' is there 2 times, allowed: once"),
         ('<parent link="wrist"/>', "", "joint 'roll' has no parent link, allowed: one"),
         ('<parent link="wrist"/>', '<parent link="tool0"/>', "link 'tool0' is not below 'world', allowed: a tip"),
-        (
-            "</robot>",
-            '<xacro:arm xmlns:xacro="http://www.ros.org/wiki/xacro"/></robot>',
-            "found <xacro:arm>.*xacro bad.urdf > robot.urdf",
-        ),
+        ("</robot>", f"{XACRO}</robot>", "found <xacro:arm>.*xacro bad.urdf > robot.urdf"),
         (URDF.read_text(), '<robot name="x"/>', "bad.urdf: there is no <link>, allowed: at least 1"),
         ('name="tool0"', 'name="tool"', "there is no link 'tool0', did you mean 'tool'"),
         ('<link name="hand"', '<link name="arm"', "there is no link 'hand', allowed: arm, base_link"),

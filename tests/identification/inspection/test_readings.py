@@ -57,10 +57,7 @@ CASES: list[tuple[Change, tuple[str, ...]]] = [
     (lambda q: q - [0, np.pi, 0], ("joint 2 has another zero than the drawing: add 180 deg to it",)),
     (lambda q: q - [0, 0, np.pi / 2], ("joint 3 has another zero than the drawing: add 90 deg to it",)),
     (lambda q: q - [0, np.radians(20), 0], ("joint 2 has another zero than the drawing: add 20 deg to it",)),
-    (
-        lambda q: np.cumsum(q, axis=1),
-        (FROM_BASE, f"joint 3 {BACK} the base, not from link 2 (its angle: column - q1 - q2)"),
-    ),
+    (lambda q: q.cumsum(1), (FROM_BASE, f"joint 3 {BACK} the base, not from link 2 (its angle: column - q1 - q2)")),
     (lambda q: np.column_stack([q[:, 0], q[:, 0] + q[:, 1], q[:, 2]]), (FROM_BASE,)),
     (
         lambda q: np.column_stack([q[:, :2], q[:, 1] + q[:, 2]]),

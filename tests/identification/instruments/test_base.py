@@ -34,14 +34,12 @@ from tests.identification.exponentials import Exponentials, drawing
 
 def test_turns_about_a_normal_are_hidden() -> None:
     """The base's axis that is nearest to the normal, which is the last row of the base's pose."""
-    level, upright = np.eye(4), pose(rotation=np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]))
+    level, upright = np.eye(4), pose(rotation=np.array([[0, 0, 1.0], [1.0, 0, 0], [0, 1.0, 0]]))
     assert Plane().hidden(level) == {"base.x", "base.y", "base.rz"}
     assert Plane().hidden(upright) == {"base.x", "base.y", "base.ry"}
 
 
-@pytest.mark.parametrize(
-    "normal", [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, -1.0, 0.0], [0.6, 0.0, 0.8]]
-)
+@pytest.mark.parametrize("normal", [[0, 0, 1.0], [1.0, 0, 0], [0, 1.0, 0], [0.0, -1.0, 0.0], [0.6, 0.0, 0.8]])
 def test_bases_of_later_planes(normal: list[float]) -> None:
     """The shift and the rotations lead to a base with the same normal and height, and the two that are left tilt the
     normal in both directions, wherever it points."""

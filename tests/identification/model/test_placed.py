@@ -57,9 +57,8 @@ def test_the_same_parameters() -> None:
     model = Model(BAR)
     whole = of_positions(model)
     assert whole.names == model.names
-    np.testing.assert_allclose(
-        np.linalg.norm(whole.position(POSTURES), axis=1), model.position(POSTURES)[:, 0], rtol=1e-14
-    )
+    distances = np.linalg.norm(whole.position(POSTURES), axis=1)
+    np.testing.assert_allclose(distances, model.position(POSTURES)[:, 0], rtol=1e-14)
     assert of_positions(whole) is whole
 
 
