@@ -363,8 +363,9 @@ def _of_drawing(arm: Arm, measurements: Measurements, search: bool, doubted: boo
     best = simplest()
     explained = tried[best] < enough
     if explained and best != written:  # the search ends early: others may be as simple, or leave far less
-        for further in (changed if best.changes == 1 else changed_twice, counted):
-            tried |= {new: new.rms for new in placed(dict.fromkeys(r for r in further(written) if r not in tried))}
+        less = [(changed, one) for one in flips(best) if one.changes < best.changes]  # half a turn in place of a sign
+        for further, start in ((changed if best.changes == 1 else changed_twice, written), (counted, written), *less):
+            tried |= {new: new.rms for new in placed(dict.fromkeys(r for r in further(start) if r not in tried))}
         best = simplest()
     if CLEARLY * tried[best] >= written.rms:
         return Readings(written)
