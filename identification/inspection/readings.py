@@ -363,10 +363,11 @@ def _of_drawing(arm: Arm, measurements: Measurements, search: bool, doubted: boo
     best = simplest()
     explained = tried[best] < enough
     if explained and best != written:  # the search ends early: others may be as simple, or leave far less
-        less = [(changed, one) for one in flips(best) if one.changes < best.changes]  # half a turn in place of a sign
-        for further, start in ((changed if best.changes == 1 else changed_twice, written), (counted, written), *less):
-            tried |= {new: new.rms for new in placed(dict.fromkeys(r for r in further(start) if r not in tried))}
+        for further in (changed if best.changes == 1 else changed_twice, counted):
+            tried |= {new: new.rms for new in placed(dict.fromkeys(r for r in further(written) if r not in tried))}
         best = simplest()
+        for less in (one for one in flips(best) if one.changes < best.changes):  # half a turn in place of a sign
+            tried |= {new: new.rms for new in placed(dict.fromkeys(r for r in changed(less) if r not in tried))}
     if CLEARLY * tried[best] >= written.rms:
         return Readings(written)
     as_simple = (r for r in tried if explained and r.changes == best.changes and not r.moved_zeros)
