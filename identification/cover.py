@@ -94,10 +94,9 @@ def objective(flat: Array, surface: Array, around: Array, weight: float) -> tupl
 
 def fitted(capsules: Array, surface: Array, around: Array, *weights: float) -> tuple[float, Array]:
     """The objective, and capsules (k, 7), after some steps with each weight."""
-    options = {"maxiter": 30}
     for weight in weights:
         data = surface, around, weight
-        fit = minimize(objective, capsules.ravel(), data, jac=True, method="L-BFGS-B", options=options)
+        fit = minimize(objective, capsules.ravel(), data, jac=True, method="L-BFGS-B", options={"maxiter": 30})
         capsules = fit.x.reshape(-1, 7)
         capsules[:, 6] = np.abs(capsules[:, 6])
     return float(fit.fun), capsules
@@ -140,20 +139,15 @@ def points_about(faces: Array, cell: float, most: int = 800) -> tuple[Array, Arr
     filled[at(faces.reshape(-1, 3))] = True
     one_of_each_cell = np.unique(np.ravel_multi_index(at(faces[:, 0]), tuple(shape)), return_index=True)[1]
     chosen = spread(faces[one_of_each_cell], most)
-    sides = [
-        np.logical_or.accumulate(filled, axis) & np.flip(np.logical_or.accumulate(np.flip(filled, axis), axis), axis)
-        for axis in range(3)
-    ]
-    filled |= np.sum(sides, axis=0) >= 2
+    so_far = [(filled.cumsum(axis), filled.sum(axis, keepdims=True)) for axis in range(3)]  # along it, and of all
+    filled |= np.sum([(some > 0) & (some < whole) for some, whole in so_far], axis=0) >= 2
     normal = np.cross(chosen[:, 1] - chosen[:, 0], chosen[:, 2] - chosen[:, 0])
     normal *= cell / np.maximum(np.linalg.norm(normal, axis=1), 1e-12)[:, None]
-    middles, around = chosen.mean(axis=1), []
-    for side in (normal, -normal):  # close to the surface, where its other side is not filled
-        around.append((middles + 0.2 * side)[~filled[at(middles + 1.8 * side)]])
-    away = distance_transform_edt(~filled)
-    far = np.argwhere((away >= 1.8) & (away <= farthest))
-    around.append(spread(low + (far + 0.5) * cell, most // 2))
-    return chosen[:, 0], np.concatenate(around), low + (np.argwhere(filled) + 0.5) * cell
+    middles, away = chosen.mean(axis=1), distance_transform_edt(~filled)
+    # close to the surface, where its other side is not filled
+    near = [(middles + 0.2 * side)[~filled[at(middles + 1.8 * side)]] for side in (normal, -normal)]
+    far, inside = (low + (np.argwhere(some) + 0.5) * cell for some in ((away >= 1.8) & (away <= farthest), filled))
+    return chosen[:, 0], np.concatenate([*near, spread(far, most // 2)]), inside
 
 
 # -- boxes -------------------------------------------------------------------------------------------------------------

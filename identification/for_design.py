@@ -77,14 +77,14 @@ class ArmModel(Model):
 
     @cached_property
     def joint_frames(self) -> Callable[[Array], Array]:
-        """Of postures (m, n) the frames (m, n + 1, 4, 4) [mm] as best known, in that of the base: of each
-        joint after it moved, and the tip's with the first measured point as its origin."""
+        """Of postures (m, n) the frames (m, n + 2, 4, 4) [mm] as best known, in that of the base: base, each joint
+        after it moved, and the tip's with the first measured point as its origin."""
         placed = self.arm.chain.frames_at(self.geometry)
 
         def at(postures: Array) -> Array:
             frames = placed(postures)
             frames[..., -2, :3, 3] = frames[..., -1, :3, 3]
-            return frames[..., 1:-1, :, :]
+            return frames[..., :-1, :, :]
 
         return at
 

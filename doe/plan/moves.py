@@ -109,11 +109,9 @@ def shortest_path(cost: Array) -> Numbers:
     padded = np.pad(cost, (0, 1))  # the last row is the dummy posture that joins the ends
     starts = [np.arange(m)]
     for first in range(0, m, max(1, m // 20)):  # always on to the nearest posture not yet visited
-        left, path = np.ones(m, dtype=bool), [first]
-        left[first] = False
-        while left.any():
-            path.append(int(np.argmin(np.where(left, cost[path[-1]], np.inf))))
-            left[path[-1]] = False
+        path = [first]
+        while len(left := np.setdiff1d(np.arange(m), path)):
+            path.append(int(left[np.argmin(cost[path[-1], left])]))
         starts.append(np.array(path))
     ends = []
     for start in starts:  # 2-opt: stretches are reversed as long as that shortens the tour
@@ -219,8 +217,8 @@ def route(
                     step[bend] = nearer
                     step = np.delete(step, bend, axis=0) if share == 1.0 else step
         steps.append(step[1:])
-    alike = np.all(nodes[aims] == postures, axis=1)
-    steps = [step if alike[row] else np.vstack([step, postures[row]]) for step, row in zip(steps, order, strict=True)]
+    last = postures[order]  # behind the node that leads to it, where that is another
+    steps = [step if np.array_equal(step[-1], q) else np.vstack([step, q]) for step, q in zip(steps, last, strict=True)]
     return order, steps, missing.tolist()
 
 
@@ -401,14 +399,14 @@ def said_of_collisions(
     if postures is not None:
         data["collisions"] = near = clearance.too_near(postures)
         # of data a posture may have many rows, of which the first is named
-        alike = np.unique(postures, axis=0, return_inverse=True)[1].reshape(-1).tolist()
-        first = {(alike[each["run"] - 1], *each["bodies"]): each for each in reversed(near)}
-        those, many = (len({*some}) for some in ((posture for posture, *_ in first), alike))
+        runs = np.unique(postures, axis=0, return_index=True)[1] + 1
+        first = [each for each in near if each["run"] in runs]
         stay = "pair of bodies stays" if usual == 1 else "pairs of bodies stay"
-        lines = [f"Collisions: {usual} {stay} at least {clearance.usual:g} mm apart at all {many} postures."]
+        lines = [f"Collisions: {usual} {stay} at least {clearance.usual:g} mm apart at all {len(runs)} postures."]
         if near:
-            lines = [f"Collisions: at {those} of {many} postures bodies are too close to each other:"]
-        lines += [f"  run {each['run']}: {distance_in_words(each)}" for each in reversed(first.values())]
+            those = len({each["run"] for each in first})
+            lines = [f"Collisions: at {those} of {len(runs)} postures bodies are too close to each other:"]
+        lines += [f"  run {each['run']}: {distance_in_words(each)}" for each in first]
     if moves is not None:
         data["moves"] = {"not_free": (blocked := unproven(constraints, moves))}
     few = np.flatnonzero(clearance.asked < clearance.usual)

@@ -87,7 +87,7 @@ class Clearance:
         within = self._pieces[self._witness(at_rest, 0 * every, every)[0] <= 0.0, 0]
         kept = (largest > 0.0) | (np.array(always, dtype=bool) & ~np.isin(np.arange(len(pairs)), within))
         self.touching, self.pairs = (tuple(pairs[k] for k in np.flatnonzero(each)) for each in (~kept, kept))
-        lengths = np.linalg.norm(np.diff(model.joint_frames(drawn[:1])[0, :, :3, 3], axis=0), axis=1)
+        lengths = np.linalg.norm(np.diff(model.joint_frames(drawn[:1])[0, 1:, :3, 3], axis=0), axis=1)
         bare = [f"joint {j}" for j in (np.flatnonzero(lengths > ROUNDING) + 1).tolist() if j not in joints]
         self.unseen, self.bare = getattr(cell.bodies, "unseen", ()), bare
         self.asked = np.minimum(self.usual, np.where(largest > 0.0, 0.25 * largest, np.inf))[kept]
@@ -102,7 +102,7 @@ class Clearance:
         For a joint between two bodies it is the length of the stretched arm from there to the farthest point of the
         outer one; a joint that moves both or neither changes nothing. Lines of sight, which no move keeps, have none.
         """
-        origins = self.model.joint_frames(np.stack([self.model.lower, self.model.upper]))[:, :, :3, 3]
+        origins = self.model.joint_frames(np.stack([self.model.lower, self.model.upper]))[:, 1:, :3, 3]
         steps = np.linalg.norm(np.diff(origins, axis=1), axis=2).max(axis=0)  # constant but for sliding joints
         along, joints = np.r_[0.0, 0.0, np.cumsum(steps)], np.arange(1, len(steps) + 1)  # from joint 1 to each frame
         far = np.max(along[self._frames] + np.linalg.norm(self._ends, axis=2) + self._radii, axis=0)
@@ -158,8 +158,7 @@ class Clearance:
     def _placed(self, postures: Array) -> tuple[Array, Array]:
         """Frames (m, n + 2, 4, 4) of base, joints and measured point at postures, and ends (2, 3, m, K) of the axes of
         all capsules in that of the base."""
-        base = np.broadcast_to(np.eye(4), (len(postures), 1, 4, 4))
-        frames = np.concatenate([base, self.model.joint_frames(postures)], axis=1)
+        frames = self.model.joint_frames(postures)
         moved, ones = frames[:, self._frames, :3], np.ones((*self._frames.shape, 1))
         return frames, np.einsum("mekij,ekj->eimk", moved, np.dstack([self._ends, ones]))
 
@@ -259,19 +258,17 @@ def nearest_to_box(a: Array, b: Array, half: Array) -> tuple[Array, Array]:
     two faces: the direction is that mixture of both from which the segment does not slide away.
     """
 
-    def out(share: Array, rows: Any = slice(None)) -> Array:  # of the nearest face, edge or corner, of any length
-        point = a[:, rows] + share * along[:, rows]
-        beyond = np.abs(point) - half[:, rows]
+    def out(share: Array) -> Array:  # of the nearest face, edge or corner, of any length
+        point = a + share * along
+        beyond = np.abs(point) - half
         deepest = np.maximum(np.maximum(beyond[0], beyond[1]), beyond[2])
         return np.copysign(np.where(deepest > 0.0, np.maximum(beyond, 0.0), beyond == deepest), point)
 
     along, start, end = b - a, np.zeros(a.shape[1]), np.ones(a.shape[1])
     low, high = np.where(dot(out(end), along) < 0.0, end, start), np.where(dot(out(start), along) >= 0.0, start, end)
-    within = np.flatnonzero(low < high)  # of most the nearest point is an end
-    while np.any(high[within] - low[within] > 1e-6):  # of the way
-        middle = 0.5 * (low[within] + high[within])
-        rises = dot(out(middle, within), along[:, within]) >= 0.0
-        low[within], high[within] = np.where(rises, [low[within], middle], [middle, high[within]])
+    while np.any(high - low > 1e-6):  # of the way; of most the nearest point is an end
+        middle = 0.5 * (low + high)
+        low, high = np.where(dot(out(middle), along) >= 0.0, [low, middle], [middle, high])
     back, ahead = (each / np.maximum(length(each), TINY) for each in (out(low), out(high)))
     falling, rising = dot(back, along), dot(ahead, along)
     weight = np.clip(rising / np.maximum(rising - falling, TINY), 0.0, 1.0)

@@ -112,14 +112,11 @@ class Walls(tuple[Constraint, ...]):
 def constraints_of(model: Any) -> tuple[Constraint, ...]:
     """The constraints that a model has, ready to be evaluated; none of one that has none."""
     model, made = design_model(model), list[Constraint]()
-    sights = [
-        np.array([*each.tracker, 0.0][:3])
-        for each in getattr(model, "constraints", ())
-        if getattr(each, "kind", "") == "line_of_sight"
-    ]
+    given = getattr(model, "constraints", ())
+    sights = [np.array([*each.tracker, 0.0][:3]) for each in given if hasattr(each, "tracker")]
     if sights and offers(model, "placed"):
         model = model.placed()  # what is to be seen is where plans assume it, if the arm does not say
-    for limit in getattr(model, "constraints", ()):
+    for limit in given:
         for member in ("space", "symbolic_points"):
             offered(model, member, "constraints")
         build = in_view if limit.kind == "line_of_sight" else KINDS[limit.kind]

@@ -51,7 +51,7 @@ class Offers(Protocol):
         symbolic_points : q (n,) -> points (space,) of base and joints [mm], those that are measured, of which the first
             is the tip, and the axes (3, 3) of the tip
         cell : `identification.workspace.Cell`, None: no body is known;  joint_axes : (n, 3) each in its frame
-        joint_frames : (m, n) -> (m, n + 1, 4, 4) of the joints and of the measured point [mm], in that of the base
+        joint_frames : (m, n) -> (m, n + 2, 4, 4) of base, joints and measured point [mm], in that of the base
         other_points : (k, 3) [mm] from the tip to other points that are measured at each posture, in the same frame
     What is settled before a plan is made
         placed : -> the model as plans are made for it: what it leaves open is assumed, with a warning

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from doe.bounds.certificate import sensitivity
 from doe.problem.model import PRISMATIC
 from doe.problem.problem import DesignProblem
-from identification import Arm, Array, design_model, rms_distance
+from identification import Arm, Array, design_model
 
 BEFORE, AFTER, LIMIT = "#c44e52", "#2a6f97", "#888888"
 LINK, CELL, SIGHT = "#a9bccb", "#cdbfa8", "#2f8f5b"  # as in page.css
@@ -110,17 +110,16 @@ def draw_bodies(axes: Any, arm: Arm, posture: Array) -> None:
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
     assert arm.cell is not None
-    frames = np.concatenate([np.eye(4)[None], design_model(arm).joint_frames(posture[None])[0]])
+    frames = design_model(arm).joint_frames(posture[None])[0]
     corners, colors, floor = [np.empty((0, 3, 3))], list[str](), arm.cell.floor
     for body in (one for one in arm.cell.bodies if len(one.looks())):
         vertices, faces = simplified(body.looks(), DRAWN // len(arm.cell.bodies))
         corners.append((vertices @ frames[body.joint, :3, :3].T + frames[body.joint, :3, 3])[faces.astype(int)])
         colors += [LINK if body.joint else CELL] * len(faces)
     if colors:
-        lit: dict[str, Any] = {"shade": True, "lightsource": LightSource(90.0 - axes.azim, axes.elev)}
-        axes.add_collection3d(
-            Poly3DCollection(np.concatenate(corners), facecolors=colors, edgecolors=colors, lw=0.3, **lit)
-        )
+        light: Any = LightSource(90.0 - axes.azim, axes.elev)
+        look = {"facecolors": colors, "edgecolors": colors, "lw": 0.3, "shade": True, "lightsource": light}
+        axes.add_collection3d(Poly3DCollection(np.concatenate(corners), **look))
     within = [*(each.reshape(-1, 3) for each in corners), frames[:, :3, 3], np.array([[0.0, 0.0, floor or 0.0]])]
     axes.auto_scale_xyz(*np.concatenate(within).T, had_data=True)
     axes.autoscale(False)
@@ -179,14 +178,13 @@ def scene(model: Any, postures: Array, tests: Mapping[str, Any]) -> dict[str, An
     axis, but for the last one, which leads to the measured point: joint_frames(q) are their products.
     """
     frames = model.joint_frames(np.zeros((1, model.joints)))[0]
-    before = np.concatenate([np.eye(4)[None], frames[:-1]])
     moves = [{"axis": joint.axis.tolist(), "type": joint.type} for joint in model.arm.chain.joints]
     bodies = () if model.cell is None else model.cell.bodies
     most = 30_000 // max(len(bodies), 1)  # triangles of each: some 400 kB in all
     return {
         "chain": [
             {"pose": step[:3].ravel().tolist()} | move
-            for step, move in zip(np.linalg.inv(before) @ frames, [*moves, {}], strict=True)
+            for step, move in zip(np.linalg.inv(frames[:-1]) @ frames[1:], [*moves, {}], strict=True)
         ],
         "postures": np.asarray(postures).round(9).tolist(),
         "bodies": [
@@ -267,10 +265,9 @@ def error_arrows(name: str, test: Any) -> list[dict[str, Any]]:
         turn = left @ np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right)) or 1.0]) @ right
         arrows[:, rows] = [each[rows, :3] @ turn for each in residuals]
     shown = np.linspace(0, len(at) - 1, min(len(at), 500)).astype(int)  # more only cover each other
+    of_models = ("before", "drawing", test.nominal), ("after", "calibrated arm", test.model)
     models = [
-        {"kind": kind, "name": model, "rms": rms_distance(left), "arrows": arrow[shown].round(5).tolist()}
-        for kind, model, left, arrow in zip(
-            ("before", "after"), ("drawing", "calibrated arm"), residuals, arrows, strict=True
-        )
+        {"kind": kind, "name": model, "rms": figures.rms, "arrows": arrow[shown].round(5).tolist()}
+        for (kind, model, figures), arrow in zip(of_models, arrows, strict=True)
     ]
     return [{"name": name, "rows": len(at), "at": at[shown].round(2).tolist(), "models": models}]

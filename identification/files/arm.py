@@ -215,19 +215,18 @@ def _cell(
             mesh = str(named_file(folder, table.file, f"cell.bodies[{k}].file", "the arm file"))
             shape = Shape("mesh", _pose(table), np.full(3, METER if table.unit == "m" else 1.0), mesh)
         shapes.append((name, joint, shape))
-    text, path = "", urdf.path if urdf else ""
-    if urdf and urdf.robot.find("link/collision") is not None and cell.bodies_of_urdf is not False:
-        text = urdf.text
-        apart |= urdf.neighbours()
+    wanted = cell.bodies_of_urdf is not False and urdf and urdf.robot.find("link/collision") is not None
+    solid = urdf if wanted else None
+    apart |= solid.neighbours() if solid else frozenset()
     names = {Cell.FLOOR, Cell.SIGHT, *(urdf.links if urdf else ()), *(name for name, _, _ in shapes)}
     InputError.check_names("cell.apart: unknown body", (name for pair in cell.apart for name in pair), names)
-    if not ("cell" in file.model_fields_set or text or shapes):
+    if not ("cell" in file.model_fields_set or solid or shapes):
         return None
     if cell.srdf is not None:
         apart |= pairs_apart(named_file(folder, cell.srdf, "cell.srdf", "the arm file"))
-    folders = tuple(dict.fromkeys(map(str, (Path(path).parent if path else folder, folder, *package_dirs))))
+    folders = tuple(dict.fromkeys(map(str, (Path(urdf.path).parent if urdf else folder, folder, *package_dirs))))
     ends = str(file.base_link), str(file.tip_link)
-    bodies = ShapedBodies(tuple(shapes), text, path, ends, folders, chain.reach)
+    bodies = ShapedBodies(tuple(shapes), solid, ends, folders, chain.reach)
     return Cell(bodies, cell.floor_z_mm, cell.clearance_mm, frozenset(apart))
 
 

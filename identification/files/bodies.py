@@ -26,7 +26,7 @@ import numpy as np
 from identification.arrays import SHOWN, Array, ByValue
 from identification.errors import InputError, require
 from identification.files.io import PathLike, decode, read_bytes
-from identification.files.urdf import METER, Urdf, read_urdf, xml_root
+from identification.files.urdf import METER, Urdf, xml_root
 from identification.kinematics.frames import pose, rotation_to_z
 from identification.workspace import CUBE, Body, Z, hull, ring, rounded
 
@@ -126,22 +126,20 @@ class Shape(ByValue):
 
 def collisions(urdf: Urdf, link: str) -> list[Shape]:
     """The `<collision>` elements of a link, in its frame, with the names of files as they are written."""
-    solids = []
+    solids, where = [], f"link {link!r}: collision"
     for element in urdf.links[link].findall("collision"):
-        where = f"link {link!r}: collision"
-        shapes = [shape for geometry in element.findall("geometry") for shape in geometry]
-        if len(shapes) != 1 or shapes[0].tag not in SIZES:
-            state = " and ".join(f"<{shape.tag}>" for shape in shapes) or "nothing"
-            raise InputError(f"{urdf.path}: {where} of {state}, allowed: one of {', '.join(SIZES)}")
-        shape, sizes = shapes[0], []
+        shapes, sizes = element.findall("geometry/*"), []
+        found = " and ".join(f"<{shape.tag}>" for shape in shapes) or "nothing"
+        known = [shape.tag in SIZES for shape in shapes] == [True]
+        require(known, f"{urdf.path}: {where} of {found}, allowed: one of {', '.join(SIZES)}")
+        shape, file = shapes[0], shapes[0].get("filename", "")
         for key, count in SIZES[shape.tag].items():
             sizes.append(urdf.numbers(shape, where, key, (1.0, 1.0, 1.0) if key == "scale" else None, count))
-            if not np.all(sizes[-1] if key == "scale" else sizes[-1] > 0.0):
-                raise InputError(f"{urdf.path}: {where} {key} has {shape.get(key)!r}, allowed: {count} numbers > 0")
-        if shape.tag == "mesh" and not shape.get("filename"):
-            raise InputError(f"{urdf.path}: {where} of a mesh without filename, allowed: the name of a file")
-        size, file = np.concatenate(sizes) * METER, shape.get("filename", "")
-        solids.append(Shape(shape.tag, urdf.origin(element, where), size, file))
+            right = np.all(sizes[-1] if key == "scale" else sizes[-1] > 0.0)
+            require(right, f"{urdf.path}: {where} {key} has {shape.get(key)!r}, allowed: {count} numbers > 0")
+        nameless = shape.tag == "mesh" and not file
+        require(not nameless, f"{urdf.path}: {where} of a mesh without filename, allowed: the name of a file")
+        solids.append(Shape(shape.tag, urdf.origin(element, where), np.concatenate(sizes) * METER, file))
     return solids
 
 
@@ -151,15 +149,14 @@ class ShapedBodies(ByValue, Sequence[Body]):
     """The bodies of an arm file and of its URDF file, which are read when they are first asked for.
 
     given : of the arm file, the body, the joint that it moves with and its shape; those of one name are one body
-    urdf : text of the URDF file, "": it has none, or they are not wanted;  path : its name
+    urdf : the URDF file, None: it has none, or they are not wanted
     ends : links at base and tip
     folders : that meshes may be read from, that of the URDF file first
     reach : [mm] of the arm
     """
 
     given: tuple[tuple[str, int, Shape], ...]
-    urdf: str
-    path: str
+    urdf: Urdf | None
     ends: tuple[str, str]
     folders: tuple[str, ...]
     reach: float
@@ -182,51 +179,50 @@ class ShapedBodies(ByValue, Sequence[Body]):
         """
         from identification.cover import boxes_around, capsules_around
 
-        parts, missing, loose = dict[tuple[str, int], list[Shape]](), dict[str, str](), dict[str, None]()
-        if self.urdf:
-            urdf = read_urdf(self.path, self.urdf)
-            for link, (joint, place, aside) in urdf.links_on(*self.ends).items():
+        parts, missing = dict[tuple[str, int], list[Shape]](), dict[str, str]()
+        if (urdf := self.urdf) is not None:
+            links = urdf.links_on(*self.ends)
+            for link, (joint, place, _) in links.items():
                 for shape in collisions(urdf, link):
-                    file = mesh_file(shape.file, self.folders) if shape.kind == "mesh" else ""
-                    if file is None:
+                    if (file := mesh_file(shape.file, self.folders) if shape.kind == "mesh" else "") is None:
                         missing[link] = shape.file
-                        continue
-                    placed = replace(shape, place=place @ shape.place, file=str(file))
-                    parts.setdefault((link, joint), []).append(placed)
-                    loose |= {link: None} if aside else {}
-        if missing:
-            links = ", ".join(missing) if len(missing) <= SHOWN else f"{len(missing)} links"
-            state = f"meshes of {links} are not found ({next(iter(missing.values()))}): collisions are not checked"
-            ways = "beside the arm file or below, or in a folder of --package-dir"
-            types = f"{' or '.join(READERS)} files of the same name, "
-            warnings.warn(f"{self.path}: {state}, allowed: {types}{ways}", UserWarning, stacklevel=2)
-        if loose:
-            state = "placed with the joints outside the arm's chain at zero"
-            warnings.warn(f"{self.path}: {', '.join(loose)}: {state}", UserWarning, stacklevel=2)
-        for name in {name for name, _ in parts} & {name for name, _, _ in self.given}:
-            raise InputError(f"cell.bodies: the name {name!r} is that of a link of {self.path}, allowed: another name")
+                    else:
+                        placed = replace(shape, place=place @ shape.place, file=str(file))
+                        parts.setdefault((link, joint), []).append(placed)
+            if missing:
+                names = ", ".join(missing) if len(missing) <= SHOWN else f"{len(missing)} links"
+                state = f"meshes of {names} are not found ({next(iter(missing.values()))}): collisions are not checked"
+                ways = "beside the arm file or below, or in a folder of --package-dir"
+                types = f"{' or '.join(READERS)} files of the same name, "
+                warnings.warn(f"{urdf.path}: {state}, allowed: {types}{ways}", UserWarning, stacklevel=2)
+            if loose := [name for name, _ in parts if links[name][2]]:
+                state = "placed with the joints outside the arm's chain at zero"
+                warnings.warn(f"{urdf.path}: {', '.join(loose)}: {state}", UserWarning, stacklevel=2)
+            for name in {name for name, _ in parts} & {name for name, _, _ in self.given}:
+                raise InputError(
+                    f"cell.bodies: the name {name!r} is that of a link of {urdf.path}, allowed: another name"
+                )
         for name, joint, shape in self.given:
             parts.setdefault((name, joint), []).append(shape)
         bodies = list[Body]()
         for (name, joint), shapes in parts.items():
-            capsules, boxes = [shape.capsule for shape in shapes if shape.kind in ROUND], np.empty((0, 15))
-            drawn, rest = [*map(rounded, capsules)], [shape for shape in shapes if shape.kind not in ROUND]
-            triangles = [shape.triangles() for shape in rest]
-            for shape, own in zip(rest, triangles, strict=True):
-                long = float(np.ptp(own, axis=(0, 1)).max()) if shape.kind == "mesh" else self.reach
-                if not 1e-3 * self.reach < long < 20.0 * self.reach:
+            capsules, boxes = [shape.capsule for shape in shapes if shape.kind in ROUND], list[Array]()
+            drawn = [*map(rounded, capsules)]
+            solids = [(shape, shape.triangles()) for shape in shapes if shape.kind not in ROUND]
+            for shape, own in solids:
+                long = float(np.ptp(own, axis=(0, 1)).max())
+                if shape.kind == "mesh" and not 1e-3 * self.reach < long < 20.0 * self.reach:
                     unit = "millimetres as metres" if long > self.reach else "metres as millimetres"
                     state = f"{long:.4g} mm long beside an arm that reaches {self.reach:.4g} mm, like {unit}"
                     raise InputError(f"{shape.file}: body {name} is {state}, allowed: another unit or scale")
-            if rest:
-                solids = [own @ s.place[:3, :3].T + s.place[:3, 3] for s, own in zip(rest, triangles, strict=True)]
-                drawn.append(np.concatenate(solids))
+            if solids:
+                drawn.append(np.concatenate([own @ s.place[:3, :3].T + s.place[:3, 3] for s, own in solids]))
                 size = np.ptp(drawn[-1], axis=(0, 1))
                 if joint or (name == self.ends[0] and size.min() > 0.3 * size.max()):
                     capsules += [*capsules_around(drawn[-1])]
                 else:
-                    boxes = np.concatenate([boxes_around(own, s.place) for s, own in zip(rest, triangles, strict=True)])
-            bodies.append(Body(name, joint, np.array(capsules), boxes, np.concatenate(drawn)))
+                    boxes += [box for s, own in solids for box in boxes_around(own, s.place)]
+            bodies.append(Body(name, joint, np.array(capsules), np.array(boxes), np.concatenate(drawn)))
         return bodies, tuple(missing)
 
 

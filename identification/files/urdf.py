@@ -7,7 +7,7 @@ and radians (http://wiki.ros.org/urdf/XML/joint).
 import re
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree import ElementTree
@@ -44,9 +44,9 @@ class Urdf:
 
     path: str
     text: str
-    robot: ElementTree.Element
-    links: Mapping[str, ElementTree.Element]
-    by_child: Mapping[str, UrdfJoint]
+    robot: ElementTree.Element = field(compare=False)
+    links: Mapping[str, ElementTree.Element] = field(compare=False)
+    by_child: Mapping[str, UrdfJoint] = field(compare=False)
 
     @property
     def root(self) -> str:
@@ -164,13 +164,10 @@ class Urdf:
         solid = {name for name, link in self.links.items() if link.find("collision") is not None}
         pairs = set[frozenset[str]]()
         for link in solid & self.by_child.keys():
-            above, moving = link, 0
-            for _ in self.by_child:  # not forever in a circle
-                if above not in self.by_child or (above != link and above in solid):
-                    break
-                moving += self.by_child[above].type != FIXED
-                above = self.by_child[above].parent
-            if moving <= 1 and above in solid - {link}:
+            way = [self.by_child[link]]
+            while (above := way[-1].parent) in self.by_child.keys() - solid and len(way) < len(self.by_child):
+                way.append(self.by_child[above])
+            if sum(joint.type != FIXED for joint in way) <= 1 and above in solid - {link}:
                 pairs.add(frozenset((link, above)))
         return frozenset(pairs)
 

@@ -65,7 +65,7 @@ def samples(arm: Arm, posture: Array, name: str, count: int = 120) -> list[tuple
     if name == Cell.SIGHT:
         return [(TRACKER + shares * (frames[-1, :3, 3] - TRACKER), 0.0)]
     body = next(body for body in arm.cell.bodies if body.name == name)
-    frame = np.eye(4) if body.joint == 0 else frames[body.joint - 1]
+    frame = frames[body.joint]
     local = [(row[:3] + shares * (row[3:6] - row[:3]), row[6]) for row in body.capsules]
     return [(points @ frame[:3, :3].T + frame[:3, 3], radius) for points, radius in local]
 

@@ -169,7 +169,7 @@ def test_the_bodies_of_a_cell_are_drawn_where_they_are(monkeypatch: pytest.Monke
     monkeypatch.setattr(art3d, "Poly3DCollection", Kept)
     view, _ = (axes for axes in plan_figure(arm, POSTURES[:5]).axes if axes.name == "3d")
     corners = drawn[0]
-    frame = design_model(Model(arm)).joint_frames(POSTURES[:1])[0, 1]
+    frame = design_model(Model(arm)).joint_frames(POSTURES[:1])[0, 2]
     local = (corners - frame[:3, 3]) @ frame[:3, :3]
     axial = np.clip(local[:, 2], start[2], end[2])
     away = np.linalg.norm(local - axial[:, None] * np.eye(3)[2], axis=1)

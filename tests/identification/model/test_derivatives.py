@@ -140,7 +140,7 @@ def test_gravity_torques_are_the_work_of_the_loads() -> None:
         ends = points[1:].copy()
         ends[1] = home[2]  # link 2 ends where joint 3 begins to slide
         along = share[:, None] * (ends - points[:-1])
-        along += beside * design_model(arm).joint_frames(posture[None])[0, :-1, :3, 0]  # along x of each joint
+        along += beside * design_model(arm).joint_frames(posture[None])[0, 1:-1, :3, 0]  # along x of each joint
         return float(-down @ (masses @ (points[:-1] + along) + payload * points[-1]))
 
     on_links = share[:, None] * np.array([pose[:3, 3] for pose in CHAIN.link_poses[1:]])
