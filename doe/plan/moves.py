@@ -334,14 +334,14 @@ def drive(
     named += ", ".join(map(str, no_approach))
     how = "alternating directions (half of the runs each)" if approach == "alternate" else f"the {approach} direction"
     were = f"{count_of(changed, 'posture')} {'was' if changed == 1 else 'were'} replaced"
-    for true, sentence in (
+    said = (
         (True, f"Moves: {count_of(vias, 'way-point')}, {times:.2f} times {SHORTEST}"),
         (approach != "any", f"joints approach the postures in {how}; plan and bound leave room for this at the limits"),
         (no_approach, f"no collision-free path from that side was found to {named}"),
         (changed, f"{were}: no collision-free path led there"),
-    ):
-        lines += [sentence] if true else []
-    return Drive(measured, moves, data, [*lines, *in_sentences(blocked)])
+    )
+    lines += [sentence for true, sentence in said if true] + in_sentences(blocked)
+    return Drive(measured, moves, data, lines)
 
 
 def rows_of(moves: Plan) -> list[dict[str, Any]]:
@@ -412,14 +412,13 @@ def said_of_collisions(
     few = np.flatnonzero(clearance.asked < clearance.usual)
     narrow = [f"{' and '.join(clearance.pairs[k])} ({clearance.asked[k]:.3g} mm)" for k in few]
     touching = [" and ".join(pair) for pair in clearance.touching]
-    for why, each in (
+    unlike = (
         ("Pairs that are always close (smaller clearance)", narrow),
         ("Pairs whose covers touch at nearly all postures (not checked)", touching),
         ("Links whose meshes were not found (not checked)", clearance.unseen),
         ("Joints whose links have no bodies (not checked)", clearance.bare),
-    ):
-        lines += [f"{why}: {', '.join(each)}."] if each else []
-    return data, lines + in_sentences(blocked)
+    )
+    return data, [*lines, *(f"{why}: {', '.join(each)}." for why, each in unlike if each), *in_sentences(blocked)]
 
 
 def one_turn(problem: DesignProblem, room: Room, postures: Array) -> Callable[[Array], Array]:

@@ -75,11 +75,9 @@ class Clearance:
                 pairs.append(pair)
                 always.append(names[one] == cell.SIGHT and not joints[other])
         self._pieces, self.pairs = np.array(pieces, dtype=int).reshape(-1, 3), tuple(pairs)
-        self._last: tuple[Any, ...] = (np.empty(0),)
         # of all pairs those that are looked at, by random postures: not those that always touch
         drawn = np.random.default_rng(0).uniform(model.lower, model.upper, (1000, len(model.lower)))
-        apart = self.distance(drawn)
-        largest = np.quantile(apart, 0.98, axis=0)  # seldom postures aside
+        largest = np.quantile(self.distance(drawn), 0.98, axis=0)  # seldom postures aside
         # and what hides the arm wherever it stands, but for what a tracker is in: of its lines of sight the first end
         at_rest = np.moveaxis(self._ends, 2, 1)[:, :, None]
         at_rest = np.where(self._frames[0] == self._frames[1], at_rest, at_rest[0])
@@ -93,7 +91,7 @@ class Clearance:
         self.asked = np.minimum(self.usual, np.where(largest > 0.0, 0.25 * largest, np.inf))[kept]
         self._pieces = self._pieces[kept[self._pieces[:, 0]]]
         self._pieces[:, 0] = np.unique(self._pieces[:, 0], return_inverse=True)[1]
-        self.count, self._last = len(self.pairs), (np.empty(0),)
+        self.count = len(self.pairs)
         self.of_sight = np.array([cell.SIGHT in pair for pair in self.pairs], dtype=bool)  # (k,)
 
     def levers(self) -> Array:
@@ -131,14 +129,11 @@ class Clearance:
         return [{"run": run + 1, "bodies": [*self.pairs[k]], "distance_mm": float(apart[run, k])} for run, k in near]
 
     def _seen(self, postures: Array) -> tuple[Array, NDArray[np.intp]]:
-        """(m, k) distances of the pairs at postures (m, n), and numbers of the pairs of pieces that have them; kept for
-        the next question about the same ones, as of second derivatives.
+        """(m, k) distances of the pairs at postures (m, n), and numbers of the pairs of pieces that have them.
 
         The middle of an axis tells how far it is at most, and less half its length at least, which of most pairs of
         pieces tells that another is nearer.
         """
-        if np.array_equal(self._last[0], postures):
-            return self._last[1], self._last[2]
         m, placed, (pair, first, second) = len(postures), self._placed(postures)[1], self._pieces.T
         nearest, starts = np.empty((m, len(self.pairs)), dtype=np.intp), np.flatnonzero(np.diff(pair, prepend=-1))
         middle, half = 0.5 * (placed[0] + placed[1]), 0.5 * length(placed[1] - placed[0])
@@ -152,7 +147,6 @@ class Clearance:
         distance = np.minimum.reduceat(exact, starts, axis=1)
         run, piece = np.nonzero(exact == distance[:, pair])
         nearest[run, pair[piece]] = piece
-        self._last = postures.copy(), distance, nearest
         return distance, nearest
 
     def _placed(self, postures: Array) -> tuple[Array, Array]:
@@ -194,9 +188,8 @@ class Clearance:
     def bend(self, postures: Array, weights: Array) -> Array:
         """(m, n, n) Hessians of the sums with weights (m, k): differences of the gradients of the same pieces."""
         steps, nearest = 1e-4 * np.eye(postures.shape[1]), self._seen(postures)[1]
-        ahead, behind = (
-            np.stack([self._slopes(postures + step, nearest) for step in sign * steps], axis=1) for sign in (1.0, -1.0)
-        )
+        slopes = np.stack([self._slopes(postures + step, nearest) for step in (*steps, *-steps)], axis=1)
+        ahead, behind = np.split(slopes, 2, axis=1)
         bend = ((ahead - behind) @ weights[:, None, :, None])[..., 0] / 2e-4
         return np.asarray(0.5 * (bend + np.swapaxes(bend, 1, 2)))
 
