@@ -159,9 +159,8 @@ class Clearance:
     def _in_box(self, points: Array, box: NDArray[np.intp]) -> Array:
         """(3, ..., W) points (3, ..., W) along the axes of boxes (W,), from their centers."""
         centers, turned, ones = self._boxes[box, :3].T, self._boxes[box, 3:12].T, np.ones(points.ndim - 2, dtype=int)
-        return dot(
-            turned.reshape(3, 3, *ones, -1), points - centers.reshape(3, *ones, -1)
-        )  # einsum takes 8 times as long
+        shifted = points - centers.reshape(3, *ones, -1)
+        return dot(turned.reshape(3, 3, *ones, -1), shifted)  # einsum takes 8 times as long
 
     def _witness(self, placed: Array, run: NDArray[np.intp], piece: NDArray[np.intp]) -> tuple[Array, Array, Array]:
         """(N,) distances of N pairs of pieces, each at one of the postures, (N,) shares of the way along the axis of

@@ -207,8 +207,8 @@ def _cell(
         if other := [at for body, at, _ in shapes if body == name and at != joint]:
             raise InputError(f"cell.bodies[{k}].joint: found {joint} for another part of {name!r}, allowed: {other[0]}")
         if table.kind in ("capsule", "cylinder", "sphere"):
-            ends = (table.center_mm,) * 2 if table.kind == "sphere" else (table.start_mm, table.end_mm)
-            shape = Shape.between(table.kind, *ends, table.radius_mm)
+            start, end = table.start_mm or table.center_mm, table.end_mm or table.center_mm  # a ball has one place
+            shape = Shape.between(table.kind, start, end, table.radius_mm)
         elif table.kind == "box":  # as thick as long in the plane, in which its middle is
             shape = Shape("box", _pose(table), np.array([*table.size_mm, max(table.size_mm)][:3]))
         else:

@@ -184,7 +184,8 @@ class ShapedBodies(ByValue, Sequence[Body]):
             links = urdf.links_on(*self.ends)
             for link, (joint, place, _) in links.items():
                 for shape in collisions(urdf, link):
-                    if (file := mesh_file(shape.file, self.folders) if shape.kind == "mesh" else "") is None:
+                    file = mesh_file(shape.file, self.folders) if shape.kind == "mesh" else ""
+                    if file is None:
                         missing[link] = shape.file
                     else:
                         placed = replace(shape, place=place @ shape.place, file=str(file))
@@ -199,9 +200,8 @@ class ShapedBodies(ByValue, Sequence[Body]):
                 state = "placed with the joints outside the arm's chain at zero"
                 warnings.warn(f"{urdf.path}: {', '.join(loose)}: {state}", UserWarning, stacklevel=2)
             for name in {name for name, _ in parts} & {name for name, _, _ in self.given}:
-                raise InputError(
-                    f"cell.bodies: the name {name!r} is that of a link of {urdf.path}, allowed: another name"
-                )
+                taken = f"the name {name!r} is that of a link of {urdf.path}"
+                raise InputError(f"cell.bodies: {taken}, allowed: another name")
         for name, joint, shape in self.given:
             parts.setdefault((name, joint), []).append(shape)
         bodies = list[Body]()
