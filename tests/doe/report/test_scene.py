@@ -114,7 +114,7 @@ def test_arrows_are_turned_into_the_frame_of_the_base(sessions: int) -> None:
     residuals = tuple(np.einsum("mij,mj->mi", turns, each) for each in errors)
     names = None if sessions == 1 else np.array(["a", "b"])[number]
     measured = Measurements(POSTURES, seen, session=names, session_names=() if names is None else ("a", "b"))
-    (said,) = error_arrows("data.csv", Validation(ARM, measured, "base", (), residuals[1], residuals[0]))
+    (said,) = error_arrows("data.csv", Validation(ARM, measured, "base", (), residuals[1], residuals[0], "base"))
     np.testing.assert_allclose(said["at"], tips, atol=0.006)
     for model, expected in zip(said["models"], errors, strict=True):
         np.testing.assert_allclose(model["arrows"], expected, atol=1e-4)
@@ -126,7 +126,7 @@ def test_readings_that_are_no_positions_have_no_arrows() -> None:
     bar = replace(ARM, chain=replace(ARM.chain, instrument=Distance()))
     for arm, columns in ((ARM, 1), (bar, 3)):
         measured, left = Measurements(POSTURES, np.full((len(POSTURES), columns), 900.0)), np.ones((14, columns))
-        assert error_arrows("data.csv", Validation(arm, measured, "base", (), left, left)) == []
+        assert error_arrows("data.csv", Validation(arm, measured, "base", (), left, left, "base")) == []
 
 
 # -- in a browser ------------------------------------------------------------------------------------------------------
@@ -135,7 +135,7 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> str:
     """A page of an arm with bodies, a floor, a tracker, and measured errors."""
     tips = design_model(Model(ARM)).joint_frames(POSTURES)[:, -1, :3, 3]
     left = 0.1 * RANDOM.normal(size=tips.shape), RANDOM.normal(size=tips.shape)
-    tests = {"<b>data.csv": Validation(ARM, Measurements(POSTURES, tips), "base", (), *left)}
+    tests = {"<b>data.csv": Validation(ARM, Measurements(POSTURES, tips), "base", (), *left, "base")}
     section = plan_section(ARM, Plan(POSTURES), tests=tests)
     path: Path = tmp_path_factory.mktemp("scene") / "page.html"
     path.write_text(page(Document("In space", ["A cell."], [section])))
