@@ -63,6 +63,7 @@ SMALLER = (
     "Effects smaller than these may still be present. Tip: how far the largest of them would move the tip, RMS over "
     "the rows."
 )
+COMPENSATES = "armcal compensate corrects commands by all of it; armcal identify has values to enter."
 APPROACH_AGAIN = "Repeat some postures later: repeats show the arm's own scatter, but not what the model lacks"
 
 
@@ -233,8 +234,7 @@ def diagnosis_actions(
         return [use, fits.correct("calibrated.toml"), confirm]
     actions = [] if data["confirmation"] and data["confirmation"]["confirmed"] else [confirm]
     if data["verdict"] == "unknown":
-        within = ", within the measured angles" if is_described(data) else ""
-        usable = f"; the extended model contains what was found and may be used in the meantime{within}"
+        usable = "; the extended model contains it and may be used in the meantime, within the measured angles"
         look = APPROACH_AGAIN if perhaps_scatter(data) else f"Look for a cause {place_in_words(data)}"
         actions.insert(0, Action(f"{look}{usable if data['predicting'] else ''}."))
     if written is None:
@@ -282,7 +282,13 @@ def diagnosis_document(
     extended = diagnosis.extended_arm(best)
     values = corrected_values(extended, extended.calibration, unknown=undetermined)
     title = "Corrected values, not confirmed" if refuted(data) else "Corrected values"
-    sections.append(fits.corrected_section(title, values, folded=refuted(data)))
+    corrected = fits.corrected_section(title, values, folded=refuted(data))
+    # errors of any form are not zero on average: zeros and frames make up for them
+    if forms := [spec.key for spec in best.specs if spec.curve is None and library()[spec.name].unlisted]:
+        alone = f"Enter none: zeros and frames of this model hold only together with {', '.join(forms)}. {COMPENSATES}"
+        sections.append(Section(title, [alone]))
+        corrected = Section("Zeros and frames of this model", corrected.parts[:1], folded=True)
+    sections.append(corrected)
     sections.append(Section("Signed error against each joint", [picture("signed_of")]))
     if data["curves"]:
         sections.append(Section("Error curves of joints", [curve_table(data), CURVES, picture("curves_figure")]))
@@ -316,9 +322,9 @@ def missing_parts(data: Data) -> list[Part]:
             rows.append([f"{labels.get(owner, owner)}.{short}", *limits, unit_or_dash(row["unit"])])
         title = f"Estimates: {' + '.join(c['effects'])}" if several else "Estimates"
         estimates.append(Sheet(("parameter", "value", "low 95 %", "high 95 %", "unit"), rows, title, 40))
-    # the probabilities in one line, and whether the rows are too few for a test
-    few = data["effects"] and tests and all(test["confirmed"] is None for test in tests)
-    among = " (too few rows to confirm it on others)" if few else ""
+    # the probabilities in one line, and whether no test of other rows has an answer
+    is_open = data["effects"] and tests and all(test["confirmed"] is None for test in tests)
+    among = " (other rows leave open whether it holds)" if is_open else ""
     # long ones stand in the table alone
     listed = {" + ".join(c["effects"]) for c in data["candidates"] if several and len(c["effects"]) > MOST}
     shares = {name: p for name, p in data["probabilities"].items() if p >= 0.005 and name not in listed}
@@ -369,7 +375,7 @@ def holds_in_words(test: Data, unit: str = "mm") -> tuple[str, str]:
     how = "" if test["by"] == "holdout" else "cross-validated, "
     where, answer = f"{which} ({how}{groups})", "no"
     if confirmed is None:
-        answer, sentence = "too few rows", f"The rows are too few to say whether the model holds for {where}."
+        answer, sentence = "open", f"These rows do not show whether the model holds for {where}."
     elif confirmed and not test["as_predicted"]:  # whether as far as expected stays open
         figures = f"{number(test['after_mm'])} {unit}, where {number(test['predicted_mm'])} {unit} was expected"
         if test["after_mm"] > test["predicted_mm"]:

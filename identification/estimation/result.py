@@ -152,6 +152,11 @@ class Identification(Documented, ReadOnly):
         scatter = f"{shown.MISFIT} {times:{'.3g' if times < 1000.0 else '.0f'}} times sigma_mm = {self.sigma:.4g}"
         figures = f"chi2 {self.chi2:.4g}, {self.dof} degrees of freedom, {shown.p_value_in_words(self.p_value)}"
         cause, do = "the model is incomplete or sigma_mm too small", "armcal diagnose looks for what is missing"
+        if self.rms_angles is not None and self.sigma:
+            places, turns = np.split(self.residuals_after, [POINT.stop], axis=1)
+            of_places, of_turns = (np.sqrt(np.mean(np.square(each))) / self.sigma for each in (places, turns))
+            scatter += f", of positions {of_places:.3g} times, of orientations {of_turns:.3g} times sigma_deg"
+            cause = "the model is incomplete, or sigma_mm or sigma_deg too small"
         if self.contradiction:
             cause, do = f"the prior does not hold (above), {cause}", "settle the prior first"
         rely = self.uncertainty.kind == "given"

@@ -213,7 +213,7 @@ WHERE = "more.csv (30 rows in 8 independent groups)"
             "The error shrinks on rows not fitted (more.csv), to 0.2500 mm, where 0.2000 mm was expected; 30 rows in 8 "
             "independent groups are too few to say whether the difference is chance.",
         ),
-        (None, None, None, "too few rows", f"The rows are too few to say whether the model holds for {WHERE}."),
+        (None, None, None, "open", f"These rows do not show whether the model holds for {WHERE}."),
         (True, False, False, "no", f"For {WHERE} the gap shrinks, but by less than predicted."),
         (False, True, False, "no", f"The model does not hold for {WHERE}: the gap does not shrink."),
     ],

@@ -433,6 +433,8 @@ def test_whole_postures_and_a_stretch_of_one_joint_are_structure() -> None:
     found = together(outlier.ravel(), q, numbers).reshape(491, 3)
     assert sorted(postures[:9]) == np.flatnonzero(found.all(axis=1)).tolist()
     assert found.sum() == 27
+    outlier = np.isin(numbers, postures[:1])  # a joint that was misread once is wrong in all rows of its posture
+    assert not together(outlier, q, numbers).any()
     q = rng.uniform(-3.0, 3.0, (300, 6))
     largest = np.argsort(q[:, 1])[-12:]
     outlier = np.isin(np.arange(300), [*largest, *rng.choice(300, 3, replace=False)])
