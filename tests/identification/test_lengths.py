@@ -6,6 +6,7 @@ and two tilts: 24. On a plane nothing has a length: an arm twice as large, twice
 postures: 23.
 """
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -192,6 +193,8 @@ def test_an_arm_of_another_parametrization() -> None:
     assert np.sqrt(np.mean(np.sum(left[:, 3:] ** 2, axis=1))) < 2.0 * expected
     assert found.rms_angles is not None
     assert found.to_json()["rms_after_deg"] == pytest.approx(np.sqrt(3.0) * SIGMA_DEG, rel=0.2)
+    tight = estimate(Model(replace(SIX, chain=replace(SIX.chain, instrument=Tracker(4.0 * SCALE)))), data).misfit
+    assert re.search(r"of positions [01]\.\d+ times, of orientations [34]\.\d+ times sigma_deg", tight or "")
     inverted = estimate(Model(SIX), replace(data, orientations=np.swapaxes(data.orientations, 1, 2)))
     assert inverted.status is Status.implausible  # no file is written, though points may be near
     assert f"orientations {inverted.to_json()['rms_after_deg']:.3g} deg off" in inverted.warnings[0]

@@ -28,6 +28,7 @@ TEST = {"rows": 30, "before_mm": 0.6, "after_mm": 0.25, "predicted_mm": 0.2}
 RIPPLE, PLAY = "transmission_ripple:2", "gear play, by direction of approach (backlash:2)"
 LEFT_OUT = {"cross_validation": [{"confirmed": False}]}
 LENGTHS = np.array([300.0, 200.0])
+SCATTERS = {"where": None, "misfit": {"significant": True}}
 PLACE = "Something outside the library is missing, at joint 3."
 
 
@@ -82,11 +83,7 @@ def test_effects_are_said_in_words_with_their_names(labels: list[str], words: st
             "discriminate arm.toml",
         ),
         (said("unknown"), PLACE, ""),
-        (
-            said("unknown") | {"where": None, "misfit": {"significant": True}},
-            "The arm scatters by more than sigma_mm",
-            "",
-        ),
+        (said("unknown") | SCATTERS, "The arm scatters by more than sigma_mm", ""),
         (said("unknown", "backlash:2"), f"{PLACE} In addition, each likelier than not: {PLAY}.", ""),
     ],
 )

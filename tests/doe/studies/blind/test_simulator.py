@@ -228,9 +228,8 @@ def test_effects_outside_the_library() -> None:
         moved = run.q.copy()
         moved[:, joint - 1] += error
         hidden = replace(truth, effects=[(name, joint, values)])
-        np.testing.assert_allclose(
-            simulator.position(hidden, run), simulator.position(truth, replace(run, q=moved)), atol=1e-9
-        )
+        expected = simulator.position(truth, replace(run, q=moved))
+        np.testing.assert_allclose(simulator.position(hidden, run), expected, atol=1e-9)
     wobbling = replace(truth, effects=[("axis_wobble", joint, {"c": 1e-5})])
     found = simulator.position(wobbling, run) - here
     for row, posture in enumerate(run.q):
