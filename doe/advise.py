@@ -30,10 +30,7 @@ TIP_ERRORS = {
     "effects_missing": "effects\nmissing\n[mm]",
     "effects_missing_prior": "library\nprior\n[mm]",
 }
-RIGHT = (
-    "Expected tip errors at poses that were not measured, if the model is right: RMS over random ones in the "
-    "workspace, and at the worst of these."
-)
+RIGHT = "Expected tip errors at random poses in the workspace, if the model is right: RMS, and at the worst of these."
 BOUND_CUT = (
     "The time limit ended the search for the bound: plans may be better than their efficiency says. Raise --seconds "
     "to find out."

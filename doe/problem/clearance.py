@@ -75,6 +75,7 @@ class Clearance:
                 pairs.append(pair)
                 always.append(names[one] == cell.SIGHT and not joints[other])
         self._pieces, self.pairs = np.array(pieces, dtype=int).reshape(-1, 3), tuple(pairs)
+        self._last: tuple[Any, ...] = (np.empty(0),)
         # of all pairs those that are looked at, by random postures: not those that always touch
         drawn = np.random.default_rng(0).uniform(model.lower, model.upper, (1000, len(model.lower)))
         largest = np.quantile(self.distance(drawn), 0.98, axis=0)  # seldom postures aside
@@ -91,7 +92,7 @@ class Clearance:
         self.asked = np.minimum(self.usual, np.where(largest > 0.0, 0.25 * largest, np.inf))[kept]
         self._pieces = self._pieces[kept[self._pieces[:, 0]]]
         self._pieces[:, 0] = np.unique(self._pieces[:, 0], return_inverse=True)[1]
-        self.count = len(self.pairs)
+        self.count, self._last = len(self.pairs), (np.empty(0),)
         self.of_sight = np.array([cell.SIGHT in pair for pair in self.pairs], dtype=bool)  # (k,)
 
     def levers(self) -> Array:
@@ -129,11 +130,14 @@ class Clearance:
         return [{"run": run + 1, "bodies": [*self.pairs[k]], "distance_mm": float(apart[run, k])} for run, k in near]
 
     def _seen(self, postures: Array) -> tuple[Array, NDArray[np.intp]]:
-        """(m, k) distances of the pairs at postures (m, n), and numbers of the pairs of pieces that have them.
+        """(m, k) distances of the pairs at postures (m, n), and numbers of the pairs of pieces that have them; kept for
+        the next question about the same ones, as of second derivatives.
 
         The middle of an axis tells how far it is at most, and less half its length at least, which of most pairs of
         pieces tells that another is nearer.
         """
+        if np.array_equal(self._last[0], postures):
+            return self._last[1], self._last[2]
         m, placed, (pair, first, second) = len(postures), self._placed(postures)[1], self._pieces.T
         nearest, starts = np.empty((m, len(self.pairs)), dtype=np.intp), np.flatnonzero(np.diff(pair, prepend=-1))
         middle, half = 0.5 * (placed[0] + placed[1]), 0.5 * length(placed[1] - placed[0])
@@ -147,6 +151,7 @@ class Clearance:
         distance = np.minimum.reduceat(exact, starts, axis=1)
         run, piece = np.nonzero(exact == distance[:, pair])
         nearest[run, pair[piece]] = piece
+        self._last = postures.copy(), distance, nearest
         return distance, nearest
 
     def _placed(self, postures: Array) -> tuple[Array, Array]:

@@ -63,7 +63,6 @@ SMALLER = (
     "Effects smaller than these may still be present. Tip: how far the largest of them would move the tip, RMS over "
     "the rows."
 )
-COMPENSATES = "armcal compensate corrects commands by all of it; armcal identify has values to enter."
 APPROACH_AGAIN = "Repeat some postures later: repeats show the arm's own scatter, but not what the model lacks"
 
 
@@ -285,8 +284,7 @@ def diagnosis_document(
     corrected = fits.corrected_section(title, values, folded=refuted(data))
     # errors of any form are not zero on average: zeros and frames make up for them
     if forms := [spec.key for spec in best.specs if spec.curve is None and library()[spec.name].unlisted]:
-        alone = f"Enter none: zeros and frames of this model hold only together with {', '.join(forms)}. {COMPENSATES}"
-        sections.append(Section(title, [alone]))
+        sections.append(Section(title, [f"Enter none: zeros and frames hold only together with {', '.join(forms)}."]))
         corrected = Section("Zeros and frames of this model", corrected.parts[:1], folded=True)
     sections.append(corrected)
     sections.append(Section("Signed error against each joint", [picture("signed_of")]))

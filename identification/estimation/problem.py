@@ -429,8 +429,6 @@ def contradicted(problem: Problem, prior: Prior, x: Array) -> Contradiction | No
     freedom = max(problem.equations - decomposed.determined(jacobian), 0.0)
     if problem.sigma is not None and chdtrc(max(freedom, 1.0), freedom * noise**2) > 0.01:  # sigma, within chance
         noise, freedom = 1.0, np.inf
-    elif problem.reliance == "given":
-        freedom = np.inf
     if freedom < 1.0 or noise <= 1e-12:  # [mm] data without any
         return None
     drops, earlier = released_drops(replace(problem, noise=noise), x), prior.earlier

@@ -385,7 +385,7 @@ def together(outlier: NDArray[np.bool_], postures: Array, numbers: Groups) -> ND
     outliers). Groups are the rows of one posture (reflectors, repeats), and the postures in a stretch of a joint's
     angles, with an outlier or without; x is 2, 3, 5, 9 .. Of data sets whose outliers are independent 1 in 1,000 may be
     called structure; postures and stretches have half of that each, and their p-values Bonferroni's correction. One
-    posture is not counted: a joint that was misread is wrong in all rows of it.
+    posture alone is none: a joint that was misread is wrong in all rows of it.
 
     outlier : (m,) rows that a fit does not explain;  postures : (m, n);  numbers : (m,) posture of each row
     """
@@ -397,9 +397,10 @@ def together(outlier: NDArray[np.bool_], postures: Array, numbers: Groups) -> ND
     parts = max(min(16, len(first) // 8), 1)
     ranks = [np.argsort(np.argsort(angles, kind="stable")) for angles in postures[first].T]
     alike = [np.zeros(len(outlier), dtype=bool)]
-    for wrong, groupings_of, to_rows, misread in (
-        (outlier, [posture], np.arange(len(outlier)), 1),
-        (of_posture, [rank * parts // len(first) for rank in ranks], posture, 0),
+    several = np.count_nonzero(np.bincount(posture, outlier) > 1.0) > 1
+    for wrong, groupings_of, to_rows in (
+        (outlier, [posture] if several else [], np.arange(len(outlier))),
+        (of_posture, [rank * parts // len(first) for rank in ranks], posture),
     ):
         crowds = []
         for groups in groupings_of:
@@ -409,9 +410,7 @@ def together(outlier: NDArray[np.bool_], postures: Array, numbers: Groups) -> ND
                 chances = log_choose(wrong.sum(), few) + log_choose(len(wrong) - wrong.sum(), sizes - few)
                 fewer = np.sum(np.exp(chances - log_choose(len(wrong), sizes)), axis=0)
                 expected = float(np.sum(np.maximum(1.0 - fewer, 0.0)))
-                crowded = wrong_in_group >= x
-                if (count := int(np.sum(crowded)) - misread) > 0:
-                    crowds.append((pdtrc(count - 1, expected), crowded[groups]))
+                crowds.append((pdtrc(np.sum(wrong_in_group >= x) - 1, expected), (wrong_in_group >= x)[groups]))
                 x = 2 * x - 1
         alike += [rows[to_rows] for p, rows in crowds if p <= 0.5e-3 / len(crowds)]
     return np.any(alike, axis=0) & outlier

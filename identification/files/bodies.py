@@ -167,10 +167,7 @@ class ShapedBodies(ByValue, Sequence[Body]):
     def __getitem__(self, index: Any) -> Any:
         return self._read[0][index]
 
-    @property
-    def unseen(self) -> tuple[str, ...]:
-        """Links whose meshes are not found."""
-        return self._read[1]
+    unseen = property(lambda self: self._read[1])  # links whose meshes are not found
 
     @cached_property
     def _read(self) -> tuple[list[Body], tuple[str, ...]]:

@@ -12,7 +12,6 @@ Which of several equivalent ones is kept is a choice: those that an engineer loo
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
-from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,6 +30,7 @@ from identification.model import Model
 
 DISTINCT = 1e-6  # [mm] RMS change of a coordinate by an error of machining size, beside those kept; rounding is 1e-12
 PRACTICAL = 1e-2  # [mm] the same without what measurements hardly determine: below what trackers resolve
+Part = tuple[Model, Array, Sequence[Conditions]]
 FEWEST = 4  # positions, of which a rigid motion explains half the coordinates
 
 
@@ -317,10 +317,7 @@ def led_to_contact(model: Model, postures: Array, goals: Array, units: Array, ta
 
 # -- a minimal set of parameters ---------------------------------------------------------------------------------------
 def minimal(
-    model: Model,
-    least: float = DISTINCT,
-    parts: Sequence[tuple[Model, Array, Sequence[Conditions]]] = (),
-    sizes: Mapping[str, float] = MappingProxyType({}),
+    model: Model, least: float = DISTINCT, parts: Sequence[Part] = (), sizes: Mapping[str, float] | None = None
 ) -> Model:
     """The model of a spatial arm with a minimal set of geometric parameters, free of any prior; the others are zero, or
     what a calibration says.
@@ -343,12 +340,10 @@ def minimal(
         parameters = shown.parameters
         first = (BASE, TOOL, JOINT_OFFSET, TRANSLATION_ERROR, ROTATION_ERROR)  # what is kept before what
         order, count = [k for kind in first for k in parameters.indices(kind)], len(parameters.indices(BASE))
-        placing = {*parameters.indices(BASE), *parameters.indices(TOOL)}
         # what they can be off by; where things stand may be anywhere
-        wide = [
-            0.1 * shown.reach / p.scale if k in placing else sizes.get(p.name, off_by[p.unit])
-            for k, p in ((k, parameters[k]) for k in order)
-        ]
+        usual = [(sizes or {}).get(parameters[k].name, off_by[parameters[k].unit]) for k in order]
+        far = [0.1 * shown.reach / parameters[k].scale for k in order]
+        wide = np.where([parameters[k].kind in (BASE, TOOL) for k in order], far, usual)
         columns = np.concatenate([shown.jacobian(postures, None, at) for at in conditions])
         columns = columns.reshape(-1, len(parameters))[:, order] * wide
         bases.append(columns[:, :count])
@@ -360,10 +355,7 @@ def minimal(
 
 
 def practical(
-    arm: Arm,
-    measurements: Measurements,
-    least: float = PRACTICAL,
-    sizes: Mapping[str, float] = MappingProxyType({}),
+    arm: Arm, measurements: Measurements, least: float = PRACTICAL, sizes: Mapping[str, float] | None = None
 ) -> Arm:
     """A spatial arm for fits without a prior: base and measured points where the closed form finds them, and what
     measurements hardly determine at their postures as drawn: of joints that stand still, of a level surface where axes

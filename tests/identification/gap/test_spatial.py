@@ -110,7 +110,7 @@ def test_an_axis_that_wobbles_is_unknown_at_its_joint() -> None:
     found = diagnose(arm_of(truth), recorded(truth, run, noise(truth, run, generator)))
     assert (found.verdict, found.where) == ("unknown", "joint:3")
     assert found.shape == "tilt or shift across the axis"
-    assert "Enter none: zeros and frames of this model hold only together with axis_error:3" in found.document().text()
+    assert "Enter none: zeros and frames hold only together with axis_error:3." in found.document().text()
 
 
 @pytest.mark.slow
