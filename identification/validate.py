@@ -272,7 +272,7 @@ def placed(
         stands, here = arm.chain.standing_in(Model(arm).best_known), model.arm.chain
         tools = {name: stands.tools.get(name, at) for name, at in here.tools.items()}
         model = replace(model, arm=replace(model.arm, chain=replace(here, base=stands.base, tools=tools)))
-        problem, values = replace(problem, model=model), np.zeros(p)
+        problem = replace(problem, model=model)
     values = problem.minimized(values[None]).parameters[0] if p else values
     return model, values, problem.residuals(values)[0], determined
 
