@@ -289,9 +289,7 @@ def offer(
     return {"by": by, "rows": rows, **lengths, "better": model[0] < geometry[0] and p <= LEVEL_95 / 2.0}
 
 
-def beside_geometry(
-    by: str, geometry: Array, model: Array, measurements: Measurements, fitted: int = 0
-) -> dict[str, Any]:
+def beside_geometry(by: str, geometry: Array, model: Array, measurements: Measurements, fitted: int = 0) -> Any:
     """`offer` from residuals (m, d) [mm] of the same rows;  fitted : as of `chance_of_gain`"""
     before, after = distances(geometry), distances(model)
     p_value = chance_of_gain(before, after, measurements, fitted)

@@ -18,6 +18,7 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import svd
 from scipy.special import chdtrc, chdtri, fdtrc, gammaln, ndtri, pdtrc, stdtr, stdtrit
 
 from identification.arm import FREEDOM
@@ -288,7 +289,11 @@ def decomposed_groups(columns: Array, residual: Array, groups: Groups) -> Iterat
         of_size = np.flatnonzero(counts == size)
         rows = order[starts[of_size, None] + np.arange(size)]
         tall = columns[rows].reshape(len(of_size), -1, columns.shape[2])
-        left, singular, right = np.linalg.svd(tall, full_matrices=False)
+        try:
+            left, singular, right = np.linalg.svd(tall, full_matrices=False)
+        except np.linalg.LinAlgError:  # divide and conquer does not always converge, as of UR10 rows on some processors
+            each = (svd(one, full_matrices=False, lapack_driver="gesvd") for one in tall)
+            left, singular, right = map(np.array, zip(*each, strict=True))
         projected = np.swapaxes(left, 1, 2) @ residual[rows].reshape(len(of_size), -1, 1)
         yield of_size, singular**2, right, singular * projected[:, :, 0]
 
