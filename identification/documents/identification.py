@@ -116,7 +116,7 @@ def identification_document(fit: Identification, data: Data | None = None, hidde
     tables: list[Part] = [*dh_sections(*fit.dh[:2])]
     of_effects = {p.name for p in fit.model.parameters if p.of_effect}
     if tables and (beside := [row for row in values if row.parameter in of_effects]):
-        tables.append(corrected_section("Effects, for which the table has no place: armcal compensate", beside))
+        tables.append(corrected_section("Effects, which only armcal compensate corrects", beside))
     if values and not tables:
         tables = [corrected_section("Corrected values", values)]
         slides = fit.arm is not None and fit.arm.chain.rows and PRISMATIC in fit.arm.joint_types
