@@ -7,6 +7,7 @@ other controllers speed up evenly to the speed v that is asked for and slow down
 """
 
 import re
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,24 +22,7 @@ from identification import Arm, InputError, Plan, require
 FULL_SPEED = (120.0, 1000.0)  # [deg/s, mm/s] what 100 % of the speed is taken for: every axis of common arms does that
 RAMP = 0.3  # [s] from rest to full speed, of common arms; --robot ur is asked for 1.4 rad/s^2
 SPECIAL = re.compile(r"[^ -~]|[\"\\{}\[\];]")  # what a comment, a string or a name in some language cannot have
-# of RAPID, KRL and URScript, which a program's name cannot be; a TP program may have any
-RESERVED = """
-alias and anin anout backward bas bool brake break case channel char circ confirm connect const continue decl def
-default defdat deffct delay digin div do elif else elseif end enddat endfct endfor endfunc endif endloop endmodule
-endproc endrecord endspline endswitch endtest endtrap endwhile enum error exit exor ext extfct false for frame from
-func global goto halt if import in inout int interrupt is lin local loop mod module movej nostepin not noview off on
-or pass pers popup prio proc ptp public pulse raise readonly real record repeat resume retry return sec signal sleep
-spline step struc switch sysmodule task test then thread to trap trigger true trynext undo until var viewonly wait
-when while with xor
-"""
-# robot -> template, units of angles and lengths, fewest and most joints; a UR controller knows six
-LANGUAGES = {
-    "ur": ("ur.script.j2", "rad", "m", 6, 6),
-    "abb": ("abb.mod.j2", "deg", "mm", 1, 6),
-    "kuka": ("kuka.src.j2", "deg", "mm", 1, 6),
-    "fanuc": ("fanuc.ls.j2", "deg", "mm", 1, 6),
-    "ros": ("ros.yaml.j2", "rad", "m", 1, 99),
-}
+LANGUAGES = tomllib.loads(Path(__file__).with_name("languages.toml").read_text("utf-8"))
 # what templates fail with, beside what jinja finds
 FAILURES = ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError
 # of [deg] and [mm], and digits: to 1e-7 deg and 1e-6 mm nothing is lost, and no exponent is needed
@@ -58,7 +42,7 @@ def program(
     """The program for the rows of an exact plan, in their order, its way-points (`Plan.via`) among them; and what it
     does, for a dry run, by the keys of files (identification/files/README.md, "JSON keys").
 
-    robot : of `LANGUAGES`
+    robot : of languages.toml
     speed : [%] of the speed of joint moves;  settle : [s] from arrival to the measurement
     name : of the program, made one that all languages accept;  template : instead of the language's own
 
@@ -68,7 +52,7 @@ def program(
     from jinja2 import StrictUndefined, TemplateError
     from jinja2.sandbox import ImmutableSandboxedEnvironment
 
-    (file, angle, length, least, most), n = LANGUAGES[robot], arm.links
+    (file, angle, length, least, most), n = LANGUAGES["robots"][robot], arm.links
     allowed = f"{least} to {most}" if least < most else least
     require(least <= n <= most, f"--robot {robot}: {n} joints, allowed: {allowed}")
     require(0.0 <= settle <= 300.0, f"--settle: {settle:g} s, allowed: 0 to 300")  # a FANUC waits 327 s at most
@@ -117,7 +101,7 @@ def program(
         moves.append(move)
         postures.append(f"{k:3d} {label:8s}" + "".join(f"{x:10.3f}" for x in q + 0.0))
     identifier = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_")
-    is_name = identifier[:1].isalpha() and identifier.lower() not in RESERVED.split()
+    is_name = identifier[:1].isalpha() and identifier.lower() not in LANGUAGES["reserved"].split()
     identifier = (identifier if is_name else f"armcal_{identifier}".strip("_"))[:24]
     planned = f"{len(plan.measured)} runs, {speed} % speed, {settle:g} s to settle"
     rest = f"about {departures[-1] / 60e3:.1f} min without measuring"

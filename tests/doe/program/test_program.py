@@ -143,7 +143,7 @@ READERS = {"ur": read_ur, "abb": read_abb, "kuka": read_kuka, "fanuc": read_fanu
 FACTORS = {"ur": 1.0, "ros": 1.0, "abb": 180.0 / np.pi, "kuka": 180.0 / np.pi, "fanuc": 180.0 / np.pi}
 
 
-@pytest.mark.parametrize("robot", LANGUAGES)
+@pytest.mark.parametrize("robot", LANGUAGES["robots"])
 def test_a_program_says_what_the_plan_says(robot: str) -> None:
     """Positions to 1e-7 rad, each measured row with its pause and wait, way-points with neither."""
     text, _ = program(LIMITED, PLAN, robot, settle=1.5)
@@ -212,11 +212,11 @@ NAMES = {
 
 @pytest.mark.parametrize(("name", "made"), NAMES.items())
 def test_a_name_is_one_in_every_language(name: str, made: str) -> None:
-    for robot in LANGUAGES:
+    for robot in LANGUAGES["robots"]:
         assert program(LIMITED, PLAN, robot, name=name)[1]["name"] == made
 
 
-@pytest.mark.parametrize("robot", LANGUAGES)
+@pytest.mark.parametrize("robot", LANGUAGES["robots"])
 def test_no_name_of_an_arm_becomes_a_statement(robot: str) -> None:
     """Line ends, quotation marks and brackets in it; comments end where the line does."""
     chain = replace(LIMITED.chain, joints=tuple(replace(j, name='a"]\n: x') for j in LIMITED.chain.joints))
