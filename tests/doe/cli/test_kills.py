@@ -34,10 +34,10 @@ SERIAL = Command("study", "study study.toml --workers 1", "--resume", ("study.re
 
 @pytest.fixture(scope="module")
 def reference(tmp_path_factory: pytest.TempPathFactory) -> Reference:
-    """The study to its end, in this process; what is killed has two workers and takes some two seconds."""
+    """The study to its end, in this process; what is killed has two workers and takes 1.2 s where nothing else runs."""
     folder = prepare(tmp_path_factory.mktemp("reference") / "study")
     finished(SERIAL.words, folder)
-    return Reference(STUDY_COMMAND, content(SERIAL, folder), 2.0)
+    return Reference(STUDY_COMMAND, content(SERIAL, folder), 1.2)
 
 
 def finished(words: str, folder: Path) -> None:
@@ -52,7 +52,7 @@ def test_a_killed_study_resumes_to_the_same_bits(reference: Reference, tmp_path:
 
 
 def test_a_design_that_is_stopped_leaves_no_process_and_no_half_file(tmp_path: Path) -> None:
-    made = Reference(LONG_DESIGN, {"plan.csv": b"\n" * 8}, 2.0)  # headings, and seven postures: the best so far
+    made = Reference(LONG_DESIGN, {"plan.csv": b"\n" * 8}, 1.5)  # headings, and seven postures: the best so far
     assert verdict(made, tmp_path / "killed", signal.SIGINT, 1.0, again=False) == []
 
 

@@ -126,21 +126,21 @@ def dask(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[bytes], str, Callabl
     options = ("--nthreads", "1", "--no-nanny", "--local-directory", str(tmp_path))
     with ExitStack() as stack:
         scheduler = stack.enter_context(started("dask_scheduler", "--host", address))
-        for _ in range(300):
+        for _ in range(1500):
             with socket.socket() as stream:
                 if stream.connect_ex(("127.0.0.1", port)) == 0:
                     break
-            time.sleep(0.1)
+            time.sleep(0.02)
         yield scheduler, address, lambda: stack.enter_context(started("dask_worker", address, *options))
 
 
 def ready(address: str, count: int) -> str:
     """The address of the cluster, once its workers have come."""
-    for _ in range(60):
+    for _ in range(300):
         with cluster(address, patience=30.0) as (_, threads):
             if threads == count:
                 return address
-        time.sleep(0.5)
+        time.sleep(0.1)
     return pytest.fail("the workers did not start")
 
 
@@ -151,7 +151,7 @@ def test_cluster_with_a_killed_worker_and_then_a_killed_scheduler(
     scheduler, address, start = dask
     path, printed, victims = tmp_path / "rows.parquet", list[logging.LogRecord](), list[int]()
     with pytest.raises(InputError, match=rf"no scheduler with workers answers.*dask worker {address}"):
-        cluster(address, patience=0.5).__enter__()
+        cluster(address, patience=0.2).__enter__()
     start(), start()
     workers = ready(address, 2)
 

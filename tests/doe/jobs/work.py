@@ -22,13 +22,13 @@ def draw(key: dict[str, Any], seed: np.random.SeedSequence, _: Any = None) -> Ro
 
 def slow_draw(key: dict[str, Any], seed: np.random.SeedSequence) -> Rows:
     """As `draw`, with the worker's process number, slowly enough to be killed in the middle."""
-    time.sleep(0.05)
+    time.sleep(0.02)
     return [{**row, "process": os.getpid()} for row in draw(key, seed)]
 
 
 def die_at_nine(key: dict[str, Any], seed: np.random.SeedSequence) -> Rows:
     """As `slow_draw`, but task 9 kills its process."""
-    time.sleep(0.05)
+    time.sleep(0.02)
     if key["task"] == 9:
         os.kill(os.getpid(), signal.SIGKILL)
     return draw(key, seed)
