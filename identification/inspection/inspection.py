@@ -95,7 +95,8 @@ def inspect(arm: Arm, measurements: Measurements) -> Inspection:
         drawing = rms_distance(drawing_residuals(arm, measurements))
     # what leaves no more than noise leaves nothing to doubt
     no_better = fit is not None and (fit.p_value is None or fit.misfit) and CLEARLY * fit.rms_after > drawing
-    if fit is not None and readings.better is None and (no_better or _asked(fit)):
+    near = readings.written.rms < CLEARLY * DRAWN * arm.reach  # else the search was no other
+    if fit is not None and readings.better is None and near and (no_better or _asked(fit)):
         closer = read_differently(arm, measurements, doubted=True)
         readings = closer if closer.explained else readings
     problems = units or _problems(arm, measurements, readings, drawing, fit)

@@ -215,7 +215,7 @@ class Model:
 
     @cached_property
     def _position(self) -> Evaluate:
-        return vectorize(self._function([self.symbols[3]]))
+        return vectorize(ca.Function("position", self.symbols[:3], self.symbols[3:]))
 
     @cached_property
     def _jacobian(self) -> Evaluate:
