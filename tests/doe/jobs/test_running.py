@@ -12,7 +12,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, nullcontext
 from functools import partial
 from pathlib import Path
@@ -42,17 +42,11 @@ def rows(function: Any, workers: Workers = 1, keys: list[dict[str, Any]] = KEYS,
     return run_tasks(function, keys, None, workers, **options).drop("seconds")
 
 
-@pytest.fixture
-def run_by(monkeypatch: pytest.MonkeyPatch) -> Callable[[Executor, int], None]:
-    """Has this executor run all tasks, so many at once."""
-    return lambda *executor: monkeypatch.setattr(jobs, "executor_of", lambda _: nullcontext(executor))
-
-
 @pytest.mark.parametrize("threads", [False, True])
-def test_rows_come_in_the_order_of_the_keys_and_from_their_own_seeds(threads: bool, run_by: Any) -> None:
+def test_rows_are_in_the_order_of_their_keys_from_own_seeds(threads: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     with ThreadPoolExecutor(3) as executor:
         if threads:
-            run_by(executor, 8)
+            monkeypatch.setattr(jobs, "executor_of", lambda _: nullcontext((executor, 8)))
         frame = rows(work.draw, seed=5)
     assert frame["task"].to_list() == [k for k in range(12) for _ in range(2)]
     assert frame["value"].to_list() == work.drawn(KEYS, seed=5)
