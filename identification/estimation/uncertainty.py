@@ -346,15 +346,22 @@ def outlying(residual: Array, blocks: Array, moment: Array | float = 0.0) -> NDA
     return np.zeros(m, dtype=bool)
 
 
-def left_out(columns: Array, values: Array, used: NDArray[np.bool_]) -> Array:
-    """(m, d) values less those that a fit puts there to all other rows that are used.
+def left_out(columns: Array, values: Array, numbers: Groups, used: NDArray[np.bool_]) -> Array:
+    """(m, d) values less those that a fit puts there to the rows of all other groups that are used.
 
     columns : (m, d, k) orthonormal in the rows used, together with rows of a prior around zero
+    numbers : (m,) group of each row
     """
-    own = columns * used[:, None, None]
-    fitted = columns @ np.einsum("mdk,md->k", own, values)
-    rest = (1.0 + 1e-9) * np.eye(values.shape[1]) - own @ own.transpose(0, 2, 1)
-    return np.asarray(np.linalg.solve(rest, (values - fitted)[..., None])[..., 0])
+    own, (d, k) = columns * used[:, None, None], columns.shape[1:]
+    left, counts = values - columns @ np.einsum("mdk,md->k", own, values), np.bincount(numbers)
+    for size in np.unique(counts[counts > 0]).tolist():
+        rows = np.flatnonzero(counts[numbers] == size)
+        rows = rows[np.argsort(numbers[rows], kind="stable")]
+        of_groups = own[rows].reshape(-1, size * d, k)
+        rest = (1.0 + 1e-9) * np.eye(size * d) - of_groups @ of_groups.mT
+        solved = of_groups.mT @ np.linalg.solve(rest, left[rows].reshape(-1, size * d, 1))
+        left[rows] += (columns[rows].reshape(-1, size * d, k) @ solved).reshape(-1, d)
+    return left
 
 
 def studentised(residual: Array, blocks: Array, moment: Array | float = 0.0) -> Generator[Array, Groups | None]:

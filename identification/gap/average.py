@@ -80,14 +80,14 @@ def as_model(posterior: Posterior, coordinates: int) -> tuple[PredictingModel, A
             chances[block.label] += one.probability
 
     # the base's parameters, and those of all blocks that are likely enough; the base gives way to rows left out, too
-    kept = [b for b in whole.blocks if b.row is None and chances[b.label] >= LEVEL]
+    kept = [b for b in whole.blocks if not b.rows and chances[b.label] >= LEVEL]
     ends = g + np.cumsum([0, *(whole.columns[whole.numbers[b.label]].shape[2] for b in kept)])
     numbers_of = {b.label: np.arange(*ends[k : k + 2]) for k, b in enumerate(kept)}
     geometry_of, used = defaultdict[str, Array](lambda: np.zeros(g)), 0.0
     means, covariances, noises = list[Array](), list[Array](), list[float]()
     for problem, draws, share in zip(posterior.problems, posterior.draws, posterior.shares.tolist(), strict=True):
         # each set without the blocks that are left out, of which the others take on what they can
-        writable = {k for k, b in enumerate(problem.blocks) if b.row is not None or b.label in numbers_of}
+        writable = {k for k, b in enumerate(problem.blocks) if b.rows or b.label in numbers_of}
         counts = Counter[Key]()
         for key, count in draws.items():
             counts[tuple(pair for pair in key if pair[0] in writable)] += count

@@ -52,7 +52,7 @@ class Block:
     weight : in the prior of sets (identification/README.md, "One posterior")
     effect : None where an arm file has no such effect;  through : kind of effects that alone it shows through
     span : of an error curve the joint (from 0) and its first and last angle [rad]
-    row : number from 0 of the single row that it shifts
+    rows : numbers from 0 of the row that it shifts, or of those of a posture of which joints were misread
     """
 
     label: str
@@ -61,7 +61,7 @@ class Block:
     effect: Effect | None = None
     through: str = ""
     span: tuple[int, float, float] | None = None
-    row: int | None = None
+    rows: tuple[int, ...] = ()
 
     @classmethod
     def of(cls, arm: Arm, spec: EffectSpec, weight: float, kinds: frozenset[str] = frozenset()) -> Block:
@@ -88,7 +88,7 @@ class Block:
     @cached_property
     def outside(self) -> bool:
         """Whether it is something outside the library, at a place."""
-        return not self.listed and self.row is None
+        return not self.listed and not self.rows
 
     @cached_property
     def size(self) -> int:
@@ -405,10 +405,10 @@ class Linearized:
         return {block.label: k for k, block in enumerate(self.blocks)}
 
 
-def linearized(library: Library, at: Fitted, wrong: Sequence[int] = (), outside: bool = True) -> Linearized:
+def linearized(library: Library, at: Fitted, wrong: Sequence[tuple[int, ...]] = (), outside: bool = True) -> Linearized:
     """All blocks at a fitted model, which may have effects of the library in it, for rows with any noise model.
 
-    wrong : rows that may be outlying;  outside : whether blocks outside the library are among them
+    wrong : rows that may be outlying, each alone or all of a posture;  outside : whether blocks outside the library are
     """
     model, rows, (y, base) = at.model, at.rows, library.as_base(at)
     blocks = [*library.members, *(library.unlisted if outside else ())]
@@ -424,9 +424,10 @@ def linearized(library: Library, at: Fitted, wrong: Sequence[int] = (), outside:
             span = measured_range(angles)
             columns.append(at.levers[:, :, j, None] * curve_waves(angles, *span)[:, None, :])
             blocks.append(Block(f"curve:{j + 1}", f"joint:{j + 1}", OUTSIDE / np.sqrt(len(joints)), span=(j, *span)))
-    for k in wrong:
-        columns.append(np.eye(rows.dimension) * (np.arange(len(rows)) == k)[:, None, None])
-        blocks.append(Block(f"row:{k}", "row", 0.0, row=k))
+    for some in wrong:
+        shifts = np.eye(rows.dimension) if len(some) == 1 else at.levers
+        columns.append(shifts * np.isin(np.arange(len(rows)), some)[:, None, None])
+        blocks.append(Block(f"row:{some}", "row", 0.0, rows=some))
     target = rows.whiten(y)
     back = spectrum(at.jacobian[:, base], model.scales[base]).root  # (g, r): to the parameters
     u = at.jacobian[:, base] @ back

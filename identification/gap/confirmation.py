@@ -319,7 +319,7 @@ def predicted_from_others(
     at = posterior.at.on(rows)
     y, base = posterior.library.as_base(at)
     sets = [one for one in posterior.explanations if one.noise == number][:MOST]
-    blocks = sorted({b for one in sets for b, _ in one.key if problem.blocks[b].row is None})
+    blocks = sorted({b for one in sets for b, _ in one.key if not problem.blocks[b].rows})
     part, local = problem.of(blocks), {b: k for k, b in enumerate(blocks)}
     pairs = [[(local[b], size) for b, size in one.key if b in local] for one in sets]
     # the prior of a set is what its odds have beyond its likelihood with all rows

@@ -45,9 +45,7 @@ class Size(NamedTuple):
     tip_mm: float | None = None
 
     def __str__(self) -> str:
-        if self.value is None:
-            return "invisible"
-        return f"{self.value:.3g}" if self.unit == "1" else f"{self.value:.3g} {self.unit}"
+        return "invisible" if self.value is None else f"{self.value:.3g} {self.unit}".removesuffix(" 1")
 
 
 @dataclass(frozen=True)

@@ -69,10 +69,10 @@ def diagnose(
     )
     progress(0.7, 1.0, "step 3 of 3: fits, tests on other rows")
     rows, best, whole, numbers = posterior.at.rows, posterior.best, posterior.whole, numbers + 1
-    kept = ~np.isin(np.arange(len(rows)), [b.row for b in best.blocks if b.row is not None])
+    kept = ~np.isin(np.arange(len(rows)), [k for b in best.blocks for k in b.rows])
     if not kept.all():
         base = fit(library.base, rows.pick(kept))
-    shows = whole.beside([whole.numbers[block.label] for block in best.blocks if block.row is not None])
+    shows = whole.beside([whole.numbers[block.label] for block in best.blocks if block.rows])
 
     # what predicts best, and what it leaves
     predicting, bend, posterior = averaged(posterior, int(kept.sum()) * rows.dimension)

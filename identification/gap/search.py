@@ -54,7 +54,7 @@ class Search:
 
     def __init__(self, products: Products, blocks: Sequence[Block], total: float = 0.0) -> None:
         self.products, self._tables = products, dict[Key, Array]()
-        self.counted = np.array([b.row is None for b in blocks], dtype=bool)  # (B,) that count among the K
+        self.counted = np.array([not b.rows for b in blocks], dtype=bool)  # (B,) that count among the K
         weights = np.array([b.weight for b in blocks])
         self.total = total or max(float(np.sum(weights[self.counted])), 1e-300)
         with np.errstate(divide="ignore"):
@@ -276,7 +276,7 @@ class Posterior:
         chances = defaultdict[str, defaultdict[tuple[str, ...], float]](lambda: defaultdict(float))
         for one in sets:
             settings = defaultdict[str, tuple[str, ...]](tuple)
-            for block in (b for b in one.blocks if b.row is None):
+            for block in (b for b in one.blocks if not b.rows):
                 settings[block.key] += (block.label,)
             for key, labels in settings.items():
                 chances[key][labels] += one.probability
@@ -297,7 +297,7 @@ class Posterior:
         def renumbered(key: Key, places: dict[int, int]) -> Key:
             return tuple((places[b], size) for b, size in key if b in places)
 
-        wrong = [b.row for b in self.whole.blocks if b.row is not None]
+        wrong = [b.rows for b in self.whole.blocks if b.rows]
         wholes = [linearized(self.library, at.on(noise.rows), wrong) for noise in self.noises]
         problems, draws, places = list[Linearized](), list[Counter[Key]](), list[dict[int, int]]()
         for old, new, drawn in zip(self.problems, wholes, self.draws, strict=True):
@@ -324,7 +324,7 @@ def posterior_of(
     kept, passes = np.ones(len(few), dtype=bool), PASSES if few is not rows else 2 * PASSES  # few rows settle late
     for turn in range(1, passes + 1):
         tell(f"pass {turn}")
-        here = at.on(few)
+        here, numbers = at.on(few), few.posture_numbers
         y, base = library.as_base(here)
         # by how much each row is off from where others put it that the fit used. Effects are held at zero as loosely as
         # can be seen: what a row determines by itself, as one between two steps does, the others put half way
@@ -332,11 +332,12 @@ def posterior_of(
         hold = np.sqrt(VISIBLE) * np.linalg.norm(columns, axis=(0, 1))
         hold[base] = 0.0
         columns = columns @ spectrum(columns[kept], here.model.scales, prior=np.diag(hold)).root
-        left = np.linalg.norm(left_out(columns, few.whiten(y).reshape(y.shape), kept), axis=1)
-        # rows that are far (3 robust standard deviations and 30 rows at most: effort), and do not come together as
-        # whole postures or neighbors do
+        left = np.linalg.norm(left_out(columns, few.whiten(y).reshape(y.shape), numbers, kept), axis=1)
+        # rows that are far (3 robust standard deviations and 30 rows at most: effort) and do not come together as
+        # whole postures or neighbors do, and postures with several that are far, of which a joint may be misread
         far = left > max(3.0 * float(np.median(left)) / 0.83, np.sort(left)[-31:][0])
-        wrong = np.flatnonzero(far & ~together(far, few.postures, few.posture_numbers)).tolist()
+        wrong = [(k,) for k in np.flatnonzero(far & ~together(far, few.postures, numbers)).tolist()]
+        wrong += [tuple(np.flatnonzero(numbers == k).tolist()) for k in np.flatnonzero(np.bincount(numbers, far) > 1.0)]
         every = [n for n in noises(here) if not names or n.name in names]
         number = next(k for k, n in enumerate(every) if (n.name, n.size) == noise)
         problem = linearized(library, at.on(every[number].rows), wrong)
@@ -349,7 +350,7 @@ def posterior_of(
         # the set with the odds of each noise, in units of the noise that was searched: with nothing, with the set, and
         # with its outlying rows alone, which noise of another kind may need, too
         jacobian, each = here.linearized[1], []
-        rows_only = [pair for pair in top.key if problem.blocks[pair[0]].row is not None]
+        rows_only = [pair for pair in top.key if problem.blocks[pair[0]].rows]
         for key in dict.fromkeys([(), top.key, tuple(rows_only)]):
             one = search.products.state(key)
             columns = [jacobian[:, :, :0], *(problem.columns[b] @ problem.roots[b] for b in one.blocks)]
@@ -367,7 +368,7 @@ def posterior_of(
             break
         if not settled:
             noise, kept = (every[best].name, every[best].size), np.ones(len(few), dtype=bool)
-            kept[[k for k in (problem.blocks[b].row for b, _ in rows_only) if k is not None]] = False
+            kept[[k for b, _ in rows_only for k in problem.blocks[b].rows]] = False
             at = fit(library.model(effects), every[best].rows.pick(kept), at.by_name)
             if families := {b.label for b in effects if b.family}:
                 effects = [b for b in effects if not b.family]

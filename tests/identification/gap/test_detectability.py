@@ -73,8 +73,8 @@ def test_effects_beside_rows_that_are_left_out(effects: tuple[str, ...]) -> None
     rows, kept = Rows.of(Measurements(POSTURES, noisy)), np.setdiff1d(np.arange(30), out)
     library = hypotheses(ARM, frozenset(), rows)
     at = fit(library.base, rows.pick(kept))
-    problem = linearized(library, Fitted(at.model, at.values, rows), out)
-    problem = problem.beside([problem.numbers[f"row:{k}"] for k in out])
+    problem = linearized(library, Fitted(at.model, at.values, rows), [(k,) for k in out])
+    problem = problem.beside([problem.numbers[f"row:({k},)"] for k in out])
     blocks = [problem.numbers[label] for label in effects]
     base = library.base.jacobian(POSTURES, at.values, rows.conditions)[kept].reshape(56, -1)
     own = np.concatenate([problem.columns[k] @ problem.roots[k] for k in blocks], axis=2)[kept].reshape(56, -1)

@@ -407,9 +407,14 @@ def test_an_error_of_any_form_is_written_at_its_place_and_predicts_other_rows(na
 
 
 def test_effects_of_an_arm_that_sags_with_three_reflectors_at_each_posture() -> None:
-    """Compliance, two encoders and play beside 0.02 mm of noise of each row and 0.03 mm of each posture."""
+    """Compliance, two encoders and play beside 0.02 mm of noise of each row and 0.03 mm of each posture; in two of them
+    a joint is misread."""
     rng = np.random.default_rng(5)
-    named = diagnose(drawn_arm(), measured_three(small_arm(rng, *OTHERS), random_postures(100, rng), rng))
+    data = measured_three(small_arm(rng, *OTHERS), random_postures(100, rng), rng)
+    misread = np.zeros((300, 6))
+    misread[120:123, 3], misread[210:213, 1] = np.radians(0.3), np.radians(-0.5)
+    named = diagnose(drawn_arm(), replace(data, postures=data.postures + misread))
+    assert named.outlier_rows == (121, 122, 123, 211, 212, 213)
     assert set(named.named.keys) == {"joint_compliance", *(f"{name}:{joint}" for name, joint, _ in OTHERS)}
     assert named.verdict == "named"
     assert [finding.name for finding in named.scatter] == ["repeats"]

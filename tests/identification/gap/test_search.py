@@ -20,7 +20,7 @@ from tests.identification.gap.test_likelihood import products_of
 WIDTHS = (1, 2, 1, 1)
 STARTS = np.concatenate([[0], np.cumsum(WIDTHS)])
 WEIGHTS = np.array([1.0, 0.5, 1.0, 0.0])
-BLOCKS = [Block(f"{k}", "time", weight, row=0 if k == 3 else None) for k, weight in enumerate(WEIGHTS.tolist())]
+BLOCKS = [Block(f"{k}", "time", weight, rows=(0,) if k == 3 else ()) for k, weight in enumerate(WEIGHTS.tolist())]
 
 
 @pytest.fixture(autouse=True)
