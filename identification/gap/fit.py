@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.arrays import Array
 from identification.effects import Effect
-from identification.estimation import estimate
+from identification.estimation import estimate, without_outliers
 from identification.estimation.doubts import FAR
 from identification.estimation.problem import Problem
 from identification.information import spectrum
@@ -202,7 +202,7 @@ def determined(arm: Arm, measurements: Measurements) -> Arm:
     size best where all pass through what is touched."""
     if not arm.chain.redundant:
         return arm
-    found = estimate(Model(with_sessions(arm, measurements)), measurements)
+    found, _ = without_outliers(lambda rows: estimate(Model(with_sessions(arm, rows)), rows), measurements)
     error = (found.scatter or 0.0) / float(np.sqrt(measurements.positions.size))
     return practical(arm, measurements, float(np.clip(PRACTICAL, error, 3.0 * error)), found.prior.deviations)
 
