@@ -473,7 +473,7 @@ def diagnose_files(
     named_only : Write only what is named, without less likely effects and error curves.
     out : Write the arm file of the model that predicts best; with --force even if it is not confirmed.
     """
-    from identification.documents.diagnosis import holds_in_words, refuted, tests_of
+    from identification.documents.diagnosis import holds_in_words, implausible, refuted, tests_of
     from identification.files.arm import load_arm
     from identification.gap.diagnose import diagnose
     from identification.measurements import rms_distance
@@ -489,8 +489,9 @@ def diagnose_files(
     diagnosis = judged(diagnose(loaded, measurements, held_out, seed, progress), loaded, measurements, held_out)
     result, names, files, lines = diagnosis.to_json(), [*map(str, (arm, *data))], Files(), list[str]()
     against = [f"not confirmed: {holds_in_words(test)[1]}" for test in tests_of(result) if test["confirmed"] is False]
-    if out is not None and refuted(result) and not force:
-        warnings.warn(f"{out} was not written: not confirmed; --force writes it anyway", stacklevel=2)
+    refusal = "the fit is implausible" if implausible(result) else "not confirmed" if refuted(result) else ""
+    if out is not None and refusal and not force:
+        warnings.warn(f"{out} was not written: {refusal}; --force writes it anyway", stacklevel=2)
     elif out is not None:
         model = diagnosis.extended_arm(diagnosis.named if named_only else None)
         assert model.calibration is not None  # a diagnosis has one
@@ -503,7 +504,8 @@ def diagnose_files(
         read = [arm, *data, *([] if holdout is None else [holdout])]
         files[report] = "page", page(diagnosis.document(names, out, nominal), read)
     document, doubts = diagnosis.document(names, out).plus(*lines), [*diagnosis.warnings, *against[:1], *lines]
-    return Answer(result | {"files": names}, document, diagnosis, warnings=doubts, files=files)
+    failed = out is not None and not force and implausible(result)
+    return Answer(result | {"files": names}, document, diagnosis, int(failed), doubts, files)
 
 
 # -- a calibration in use ----------------------------------------------------------------------------------------------

@@ -183,6 +183,11 @@ def refuted(data: Data) -> bool:
     return any(test["confirmed"] is False for test in tests)
 
 
+def implausible(data: Data) -> bool:
+    """Whether rows or arm file must be put right first: no geometry explains the rows as they are."""
+    return any(doubt.startswith("implausible") for doubt in data["warnings"])
+
+
 def judges(data: Data) -> str:
     """The rows by which a model is confirmed or not; those of cross-validation had a part in the choice of effects."""
     return "held-out rows" if data["confirmation"] else "rows left out in cross-validation"
@@ -217,6 +222,8 @@ def diagnosis_actions(
         "Measure about twenty other postures, preferably on another day, to confirm what was found:",
         f"{again} --holdout other.csv",
     )
+    if implausible(data):
+        return [Action("Put the rows or the arm file right first:", f"armcal check {arm} {rows[0]}")]
     if refuted(data):
         gain = " yet: the error on held-out rows falls by less than predicted"
         why = gain if shrinks(data) else f": {judges(data)} speak against it"
@@ -464,7 +471,7 @@ def remarks(result: Diagnosis, skipped: Mapping[str, str], searched: int, status
         yield f"effects were searched for in {some}; what was found is fitted to all"
     if status is not Status.converged:
         yield f"the fit of the best model did not converge: {status.value}"
-    if measurements.directions is None:
+    if measurements.directions is None and (measurements.gaps is None or not measurements.gaps[1:].all()):
         yield "directions of approach were derived from the order of measurement"
     if result.misfit is not None and measurements.sigma is None and not 0.67 < result.misfit.ratio < 1.5:
         of_file = f"{result.misfit.ratio:.3g} times the sigma_mm of the arm file"

@@ -199,21 +199,19 @@ def corrected_section(title: str, rows: Sequence[CorrectedValue], folded: bool =
     listed = [row for row in rows if row.std is not None or row.parameter is None or "." not in row.name]
     held = len(rows) - len(listed)
     rows = listed if held > MOST_HELD else rows
+    weak, zeros = sum(row.weak for row in rows), any(row.name.startswith("zero of") for row in rows)
     frames = [row for row in rows if row.name.startswith("joint ")]
-    weak, framed = sum(row.weak for row in rows), bool(frames)
+    framed, turned = bool(frames), any(row.name.endswith((" rx", " ry", " rz")) for row in frames)
+    upright = any(row.name == "base ry" and abs(row.corrected or 0.0) > 85.0 for row in rows)
     notes = {
         f"{held} more parameters of effects, without intervals, are in the file.": held > MOST_HELD,
-        "Zeros: add to the zero of the joint (real = reading + this), or subtract it from every command.": any(
-            row.name.startswith("zero of") for row in rows
-        ),
+        "Zeros: add to the zero of the joint (real = reading + this), or subtract it from every command.": zeros,
         "Zero of joint 1 and base_offset: the base pose; enter them in the controller only if the measurements are "
         "in the controller's own frame.": any(row.parameter == "base_offset.x0" for row in rows),
         "Frames: origin of the joint in the frame of the joint before, as in a URDF file; --urdf writes it.": framed,
         "rx, ry, rz of a joint whose pitch is near 90 deg: rotation of its frame from the drawing about its own "
-        "axes.": any(row.name.endswith((" rx", " ry", " rz")) for row in frames),
-        "Since ry of the base is near 90 deg, its rx and rz are only known together, whatever the interval of each.": (
-            any(row.name == "base ry" and abs(row.corrected or 0.0) > 85.0 for row in rows)
-        ),
+        "axes.": turned,
+        "ry of the base is near 90 deg: its rx and rz are only known together, whatever the interval of each.": upright,
         "These values belong together: enter all of them.": framed,
         # not all that can be off is estimated
         "Numbers not listed stay as drawn; the intervals are for a fit that holds them there.": framed
@@ -228,7 +226,7 @@ def corrected_table(rows: Sequence[CorrectedValue]) -> Sheet:
     """Nominal and corrected values with intervals, without those that are the drawing's to 0.0001 mm or deg. Frames are
     better known together than each number is: they have five decimals, whatever the deviation of each."""
     keys, cells = ("nominal", "corrected", "std", "low_95", "high_95"), []
-    together = any(row.name.startswith("joint ") for row in rows)
+    together = any(row.name.startswith(("joint ", "row ")) for row in rows)
     for row in rows:
         name, std, unit = f"{row.name} *" if row.weak else row.name, row.std, row.unit
         limits = () if row.corrected is not None and std is None else (row.low_95, row.high_95)  # of a held value none

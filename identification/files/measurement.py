@@ -86,9 +86,9 @@ def load_measurements(path: PathLike, links: int | Arm | None = None) -> Measure
     if order is not None and np.all(order == np.round(order)):  # it counts measurements, not all of which are there
         gaps = np.zeros(len(table))
         for rows in measurements.sequences:
-            left_out = np.diff(order[rows], prepend=order[rows[0]]) > 1.0
-            # before more than 3 of 4 rows: they are frames or labels, no counts, and none is missing
-            gaps[rows] = left_out & (left_out.mean() <= 0.75)
+            steps = np.diff(order[rows], prepend=order[rows[0]])
+            # of more than ten, most of them: they are frames or labels, no counts, and none is missing
+            gaps[rows] = (steps > 1.0) & (np.median(steps) <= 10.0)
         measurements = replace(measurements, gaps=gaps if gaps.any() else None)
     if touched and touched in table:
         # each surface has a base of its own, as each session has; from where joints came all rows tell, by their order
@@ -292,10 +292,7 @@ class Plan(ByValue):
     def __len__(self) -> int:
         return len(self.postures)
 
-    @property
-    def links(self) -> int:
-        """n, the number of joints."""
-        return int(self.postures.shape[1])
+    links = property(lambda self: int(self.postures.shape[1]))  # n, the number of joints
 
     @property
     def is_run(self) -> NDArray[np.bool_]:

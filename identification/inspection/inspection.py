@@ -174,12 +174,14 @@ def _problems(
         # several at once, where another reading has one or two; they may make up for a distance
         zeros = apart or doubts.far_zeros(fit.model, fit.parameters, fit.std)
     read = readings.better is not None and readings.explained
-    sentences = [] if read else other_convention(arm, measurements, drawing)
-    sentences = sentences or data_warnings(measurements, arm) or ([] if zeros else readings.sentences)
+    # of joints that are read otherwise the orientations are far off, too
+    sentences = [*readings.sentences] if read and not zeros else other_convention(arm, measurements, drawing)
+    sentences = sentences or data_warnings(measurements, arm) or ([] if zeros else [*readings.sentences])
     if not sentences:
         sentences = [*doubts.another_frame(Model(arm), measurements), *other_frame(arm, readings.written)] or zeros
     rows, own = np.arange(len(measurements)) + 1, arm.chain.instrument.own_targets
     moved = f"a {own} that was moved without a new name" if own else "an instrument that moved"
+    noise = 3.0 * (arm.sigma or 0.0) * np.sqrt(arm.dimension)
     if fit is not None and not sentences:
         unexplained = (np.isin(rows, numbers) for numbers in (fit.outlier_rows, fit.unexplained_rows))
         sentences = doubts.moved_points(fit.model, fit.parameters, fit.residuals_after, measurements)
@@ -187,7 +189,6 @@ def _problems(
         sentences = sentences or apart
         # far from the rows of one arm, where noise is not the reason: effects that are not in the model leave less than
         # 1 % of the reach, a fit that explains something less than 80 % of what the drawing leaves
-        noise = 3.0 * (arm.sigma or 0.0) * np.sqrt(arm.dimension)
         if not sentences and fit.rms_after > max(0.01 * arm.reach, 0.8 * drawing, noise):
             left = f"a fit leaves {fit.rms_after:.4g} mm of the {drawing:.4g} mm that the drawing leaves"
             thing, column = ("cup", "cup") if own == "cup" else ("reflector", "marker")
@@ -196,7 +197,7 @@ def _problems(
             several = f", several {thing}s without a column {column}" if unnamed else ""
             looked = f"look for {mixed} that are mixed up{several}, or {moved}"
             sentences = [f"{left}, so no geometry explains these rows: {looked}"]
-    if not sentences and drawing > DRAWN * arm.reach:
+    if not sentences and drawing > max(DRAWN * arm.reach, noise):
         off = f"the drawing is {drawing:.4g} mm off, placed as well as it can be: check lengths and columns"
         sentences = [f"{off}{own and f', and look for {moved}'}"]
     if fit is None:

@@ -422,9 +422,10 @@ def data_warnings(measurements: Measurements, arm: Arm) -> list[str]:
     """Sentences about units that the numbers contradict and other conventions of orientations; and of an arm that
     reaches farther than any does. Raises `InputError` if the numbers of joints differ."""
     units = read_differently(arm, measurements, search=False).sentences
-    if arm.reach > 20000.0:  # [mm]
+    far = min(arm.reach, float(np.linalg.norm(arm.chain.tip_frames(measurements.postures)[:, :3, 3], axis=1).max()))
+    if far > 20000.0:  # [mm]; long steps between nearly parallel axes cancel
         how = "lengths that were written in millimetres there come out 1000 times too large"
-        units.insert(0, f"the arm of the file reaches {arm.reach / 1000.0:.4g} m: a URDF has metres, and {how}")
+        units.insert(0, f"the arm of the file reaches {far / 1000.0:.4g} m: a URDF has metres, and {how}")
     # convention: 1 deg or 1 mm, far above what a controller leaves
     most = np.where([kind == PRISMATIC for kind in arm.joint_types], 1.0, np.radians(1.0))
     if measurements.repeats is not None:

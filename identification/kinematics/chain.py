@@ -196,9 +196,12 @@ class KinematicChain(ByValue):
 
     @cached_property
     def reach(self) -> float:
-        """Largest distance [mm] between base and tip that the parts of the chain could add up to."""
+        """Largest distance [mm] between base and tip that the parts of the chain could add up to; or that of a measured
+        point, if it is farther from the tip, and of axes that all meet in one point some distance."""
         slides = [max(abs(joint.lower), abs(joint.upper)) for joint in self.joints if joint.type == PRISMATIC]
-        return float(np.linalg.norm(self.link_poses[0][:3, 3])) + sum(self.lengths.tolist()) + float(sum(slides))
+        parts = [np.linalg.norm(self.link_poses[0][:3, 3]), *self.lengths.tolist(), *slides]
+        tools = [np.linalg.norm(place[:3, 3]) for place in self.tools.values()]
+        return float(max(sum(parts), *tools, 0.0)) or 100.0
 
     @cached_property
     def levers(self) -> Array:

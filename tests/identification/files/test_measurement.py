@@ -323,6 +323,7 @@ def test_files_with_gaps_go_round(load: Load) -> None:
     some = data.rows([3, 5, 9])  # with directions of their own, unknown ones among them
     np.testing.assert_array_equal(load(measurement_text(some)).conditions.directions, some.conditions.directions)
     assert 0.0 in some.conditions.directions
+    assert struck(load, [*range(1, M, 2)]).gaps.tolist() == [0.0, *[1.0] * 14]  # of every second row
     stamps = replace(WHOLE, order=np.arange(M) + 30.0 * (np.arange(M) // 3))  # whole seconds, of reads by threes
     assert load(measurement_text(stamps)).gaps is None
 
