@@ -62,7 +62,7 @@ def every() -> dict[str, Document]:
     return {type(one).__name__: one.document() for one in results()} | {"library": library, "effect": effect}
 
 
-NAMES = (*(kind.__name__ for kind in kinds(Documented)), "library", "effect")
+NAMES = (*sorted(kind.__name__ for kind in kinds(Documented)), "library", "effect")
 
 
 def words(text: str) -> str:
