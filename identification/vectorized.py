@@ -42,9 +42,7 @@ def vectorize(function: ca.Function) -> Evaluate:
     """Numpy version of an SX function whose inputs are dense column vectors. The result takes, per input, an array
     whose LAST axis runs over the components and whose leading axes broadcast against those of the other inputs; it
     returns, per output, an array of the broadcast shape + (rows, columns)."""
-    if not (kept := _kept(function.serialize())):
-        kept.append(_compiled(function))
-    run, shapes = kept[0], [function.size_out(i) for i in range(function.n_out())]
+    run, shapes = _compiled(function.serialize()), [function.size_out(i) for i in range(function.n_out())]
 
     def evaluate(*arguments: ArrayLike) -> tuple[np.ndarray, ...]:
         # components first: each is written in contiguous runs
@@ -59,21 +57,16 @@ def vectorize(function: ca.Function) -> Evaluate:
         for start in range(0, longest, rows):
             part = (*[slice(None)] * axis, slice(start, start + rows))
             run([[*(a[:, *part] if a.shape[1 + axis] > 1 else a)] for a in inputs], [y[:, :, *part] for y in full])
-        outputs = (y.reshape(*y.shape[:2], *batch) for y in full)
-        return tuple(y.transpose(*range(2, y.ndim), 0, 1) for y in outputs)
+        return tuple(y.reshape(*y.shape[:2], *batch).transpose(*range(2, 2 + len(batch)), 0, 1) for y in full)
 
     return evaluate
 
 
 @lru_cache(maxsize=128)
-def _kept(serialized: str) -> list[Callable[[list[list[np.ndarray]], list[np.ndarray]], None]]:
-    """`_compiled` of a function, once it is: equal ones are set up again and again, as parts of different models."""
-    return []
-
-
-def _compiled(function: ca.Function) -> Callable[[list[list[np.ndarray]], list[np.ndarray]], None]:
-    """The function as numpy source, of components x of its inputs, which writes its outputs into y."""
-    lines = ["def run(x, y):"]
+def _compiled(serialized: str) -> Callable[[list[list[np.ndarray]], list[np.ndarray]], None]:
+    """The function as numpy source, of components x of its inputs, which writes its outputs into y; equal functions are
+    set up again and again, as parts of different models."""
+    function, lines = ca.Function.deserialize(serialized), ["def run(x, y):"]
     places = [[*zip(*function.sparsity_out(i).get_triplet(), strict=True)] for i in range(function.n_out())]
     for k in range(function.n_instructions()):
         operation, operands = function.instruction_id(k), function.instruction_input(k)
