@@ -357,10 +357,12 @@ def left_out(columns: Array, values: Array, numbers: Groups, used: NDArray[np.bo
     for size in np.unique(counts[counts > 0]).tolist():
         rows = np.flatnonzero(counts[numbers] == size)
         rows = rows[np.argsort(numbers[rows], kind="stable")]
-        of_groups = own[rows].reshape(-1, size * d, k)
-        rest = (1.0 + 1e-9) * np.eye(size * d) - of_groups @ of_groups.mT
-        solved = of_groups.mT @ np.linalg.solve(rest, left[rows].reshape(-1, size * d, 1))
-        left[rows] += (columns[rows].reshape(-1, size * d, k) @ solved).reshape(-1, d)
+        some, off = own[rows].reshape(-1, size * d, k), left[rows].reshape(-1, size * d, 1)
+        if size * d <= k:  # either way is the same; matrices are smaller in one of them
+            moved = some.mT @ np.linalg.solve((1.0 + 1e-9) * np.eye(size * d) - some @ some.mT, off)
+        else:
+            moved = np.linalg.solve((1.0 + 1e-9) * np.eye(k) - some.mT @ some, some.mT @ off)
+        left[rows] += (columns[rows].reshape(-1, size * d, k) @ moved).reshape(-1, d)
     return left
 
 
