@@ -283,3 +283,6 @@ def test_what_happened_once_is_over_in_another_session() -> None:
     for held in (rows, every, called, replace(later, order=later.order + 200.0)):  # of `every` numbers start again
         seen = HeldOut.of(held, data)
         assert np.abs(seen.residuals(base, base)[1]).max() < 1e-6, seen.transfer
+    for held in (replace(rows, order=None), replace(later, order=None), replace(later, order=data.order)):
+        tested = HeldOut.of(held, data).test(base, geometry(base), data, np.ones(30, dtype=bool), False, 1.0)
+        assert tested.after_mm < 1e-6, tested.transfer

@@ -287,3 +287,5 @@ def test_a_table_of_the_other_convention_is_named(orientations: bool) -> None:
     (said,) = wrong
     assert said.startswith("it looks as if the [[dh]] table is of the modified convention: the drawing then leaves ")
     assert said.endswith('; write convention = "modified"')
+    (swapped,) = inspect(arms[0], replace(data, postures=q[:, [1, 0, 2]])).problems
+    assert swapped.startswith("it looks as if columns of joints 1 and 2 are swapped")  # not the orientations

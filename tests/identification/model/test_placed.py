@@ -95,8 +95,9 @@ SLIDING = replace(DHRow(0.0, QUARTER, 0.0), type=PRISMATIC, limits=(100.0, 600.0
         (replace(SIX, tools=THREE), 33),
         (replace(SIX, tools=OFF_AXIS, instrument=Tracker(300.0)), 30),  # 4 for each axis, 6 of the frame
         (chain_of([DHRow(0.0, QUARTER, 300.0), SLIDING, DHRow(80.0, 0.3, 50.0), DHRow(0.0, 0.0, 90.0)]), None),
+        (chain_of([DHRow(0.0, QUARTER, 0.0), DHRow(0.0, 0.0, 0.0)]), None),
     ],
-    ids=["reflector", "on the last axis", "three reflectors", "a pose", "a sliding joint"],
+    ids=["reflector", "on the last axis", "three reflectors", "a pose", "a sliding joint", "axes that meet"],
 )
 def test_as_many_as_can_be_told_apart(chain: KinematicChain, count: int | None) -> None:
     """The rank of all parameters' Jacobian, by singular values, is that of the minimal set; nothing is lost."""
