@@ -153,7 +153,8 @@ def solve_program(
         objective = -cp.matrix_frac(root @ (vectors * np.sqrt(np.maximum(values, 0.0))), matrix)
     elif criterion.name == "E":
         objective = cp.Variable()
-        floor = matrix - objective * (root @ root.T) >> 0
+        # in units of the mean's smallest eigenvalue
+        floor = matrix - objective * (root @ root.T / np.linalg.norm(root, 2) ** 2) >> 0
         tied.append(floor)
     else:
         reason = f"{criterion.name} has no program for this solver"

@@ -158,9 +158,7 @@ def robot(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[str, Judge, s
 
 
 @pytest.mark.parametrize(("floor", "least"), [("", 0.985), (FLOOR, 0.95)], ids=["bodies", "floor"])
-def test_no_posture_and_no_move_collides(
-    robot: tuple[str, Judge, str], floor: str, least: float, tmp_path: Path
-) -> None:
+def test_nothing_collides(robot: tuple[str, Judge, str], floor: str, least: float, tmp_path: Path) -> None:
     name, judge, head = robot
     pairs = len(judge.geometry.collisionPairs)
     print(f"\n{name}: {pairs} pairs of meshes, {'floor, 20 mm' if floor else 'own bodies'}")

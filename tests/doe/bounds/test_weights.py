@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from doe.bounds.weights import interior_point_weights, optimal_weights, solve_program, sparsest
 from doe.criteria import A, Criterion, D, Ds, E
 from doe.problem.problem import PriorInformation
+from tests.doe.six_axis import LIMITED, six_axis
 
 POINTS = np.linspace(-1.0, 1.0, 21)
 QUADRATIC = np.power.outer(POINTS, np.arange(3))[:, None, :]  # (21, 1, 3)
@@ -63,6 +64,12 @@ def test_dual_of_the_smallest_eigenvalue_is_a_bound() -> None:
     assert np.linalg.eigvalsh(gradient)[0] >= -1e-12
     assert np.trace(gradient) == pytest.approx(1.0, abs=1e-12)
     assert 0.2 - 1e-12 <= max(float(row @ gradient @ row) for row in QUADRATIC[:, 0]) <= 0.2 + 1e-5
+    # an arm in space, whose parameters are known to very different degrees
+    arm, rng = six_axis(LIMITED), np.random.default_rng(3)
+    jacobians = arm.scaled_jacobians(rng.uniform(arm.lower, arm.upper, (80, 6)))
+    weights, gradient = optimal_weights(jacobians, E(), arm.prior)
+    least = np.linalg.eigvalsh(arm.prior.mixture(jacobians, weights))[0]
+    assert arm.prior.sensitivities(jacobians, gradient).max() == pytest.approx(least, rel=1e-6)
 
 
 def test_few_postures_of_many_parameters() -> None:

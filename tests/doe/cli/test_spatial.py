@@ -115,9 +115,7 @@ def test_from_urdf_and_tracker_to_a_corrected_urdf(spatial: Folder) -> None:
         np.testing.assert_allclose(pose(place, turn) @ motion, joint.origin, atol=1e-9)
 
 
-def test_a_kept_run_counts_once_with_the_reflectors_that_were_read(
-    spatial: Folder, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_kept_run_counts_once_with_the_reflectors_read(spatial: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of a plan all; of measurements by generalized least squares of their rows, one of four of which is missing."""
     monkeypatch.setattr("doe.solvers.solving.best_known_bound", lambda *_: None)  # which takes time
     drawn = "design truth.toml --runs 3 --solver random --seconds 0.01 --keep"

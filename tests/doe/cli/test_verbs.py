@@ -162,9 +162,7 @@ def shell(folder: Folder, words: str, redirection: str) -> subprocess.CompletedP
 
 
 @pytest.mark.parametrize(("said", "width"), [("60", 60), ("100", 100), ("0", 110), ("wide", 110), ("", 110)])
-def test_a_pipe_is_as_wide_as_columns_says(
-    folder: Folder, monkeypatch: pytest.MonkeyPatch, said: str, width: int
-) -> None:
+def test_a_pipe_is_as_wide_as_asked(folder: Folder, monkeypatch: pytest.MonkeyPatch, said: str, width: int) -> None:
     """A long sentence fills the lines; what is no width is as nothing said."""
     monkeypatch.setenv("COLUMNS", said)
     shown = folder.armcal("effects joint_compliance").out.splitlines()

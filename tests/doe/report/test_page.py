@@ -78,9 +78,7 @@ def shown_at_any_width(seen: Watched) -> None:
 
 
 @pytest.mark.parametrize(("name", "arm", "plan"), [("page", "arm.toml", "plan.csv"), ("six", "six.toml", "six.csv")])
-def test_a_plan_is_stepped_through_edited_and_scored(
-    pages: Folder, opened: Any, name: str, arm: str, plan: str
-) -> None:
+def test_a_plan_is_stepped_edited_and_scored(pages: Folder, opened: Any, name: str, arm: str, plan: str) -> None:
     whole = scored(pages, arm, plan)
     address = (pages.path / f"{name}.html").as_uri()
     seen = Watched(opened, address)
