@@ -194,9 +194,7 @@ class ApproximateDesign(PlanOfProblem):
     @property
     def efficiency_lower_bound(self) -> float:
         """Fraction 0..1 of an optimum that the weights reach at least, recomputed from them alone."""
-        if not np.isfinite(self.upper):
-            return 0.0
-        return self.problem.criterion.efficiency(self.value, self.upper, self.problem.parameters)
+        return min(self.problem.criterion.efficiency(self.value, self.upper, self.problem.parameters), 1.0)
 
     @property
     def bound(self) -> Bound | None:

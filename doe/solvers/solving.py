@@ -155,6 +155,9 @@ def solve(
         budget = first if late else whole
         try:
             for name, offer in _offers(problem, runs, chosen, solver is None, seed, begin, budget):
+                if np.shape(offer.postures) != (runs, problem.joints):
+                    found = f"offers postures of shape {np.shape(offer.postures)}"
+                    raise JobError(f"solver: {name} {found}, allowed: ({runs}, {problem.joints})")
                 clipped, dice = problem.clip(offer.postures), np.random.default_rng([seed, runs])
                 postures = separated(problem, spread_free_joints(problem, clipped, dice))
                 value = allowed_value(problem, postures)

@@ -294,11 +294,8 @@ class Plan(ByValue):
 
     links = property(lambda self: int(self.postures.shape[1]))  # n, the number of joints
 
-    @property
-    def is_run(self) -> NDArray[np.bool_]:
-        """(m,) rows that are measured, no way-points."""
-        return np.ones(len(self), dtype=bool) if self.via is None else ~self.via
-
+    # (m,) rows that are measured, no way-points
+    is_run = property(lambda self: np.ones(len(self), dtype=bool) if self.via is None else ~self.via)
     measured = property(lambda self: self.postures[self.is_run])  # (r, n) postures without way-points
 
     @property
@@ -360,6 +357,8 @@ class Plan(ByValue):
         conditions = {"sigma": read_column(table, "sigma", LENGTH, SIGMA_RANGE) if carried_out and given else None}
         if vias and "kind" in table:
             via = (table.frame["kind"].str.strip_chars() == VIA).fill_null(False).to_numpy()
+        if carried_out and "weight" in table:
+            raise InputError(f"{path}: found weights, allowed: measurements, or an exact plan that was carried out")
         if not carried_out:
             if "weight" in table:
                 weights = table.floats("weight", "a number >= 0", lambda v: v >= 0.0)

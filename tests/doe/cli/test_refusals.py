@@ -48,6 +48,7 @@ CASES: list[Case] = [
     case(DESIGN, "bad.toml; joint 2; 120; lower < upper", toml=changed("-120.0, -100.0", "120.0, -100.0")),
     case("discriminate arm.toml data.csv --runs 2 --payloads 0,5", "--payloads; [gravity]"),
     case("relax arm.toml --grid 3 --candidates plan.csv", "--grid; without --candidates"),
+    case("design arm.toml --runs 8 --keep bad.csv", "weights", csv="q1_deg,q2_deg,q3_deg,q4_deg,weight\n1,2,3,4,1\n"),
     case("advise arm.toml --target-mm -1", "--target-mm; found -1; allowed: > 0"),
     case("diagnose arm.toml Cal.TOML", "Cal.TOML; arm file", Cal_TOML=ARM + CALIBRATION),
     case("discriminate arm.toml bad.csv --runs 1", "60 rows of 1 posture; at least 4", csv=HEADER + ONE_POSTURE),

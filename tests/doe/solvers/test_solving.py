@@ -137,11 +137,11 @@ def test_a_search_that_ends_early_has_the_best_so_far(
 
 
 def test_a_solver_without_a_useful_plan() -> None:
-    singular = Offer(np.zeros((8, 4)), 1)
-    with pytest.raises(JobError, match="no plan that identifies all 8 parameters"):
-        solve(problem(FOUR), 8, Scripted([singular]))
-    with pytest.raises(JobError, match="scripted"):
-        solve(problem(FOUR), 8, Scripted([]))
+    offered = {"no plan that identifies all 8 parameters": [Offer(np.zeros((8, 4)), 1)], "scripted": []}
+    offered[r"scripted offers postures of shape \(7, 4\), allowed: \(8, 4\)"] = [Offer(POOR[:7], 1)]
+    for said, offers in offered.items():
+        with pytest.raises(JobError, match=said):
+            solve(problem(FOUR), 8, Scripted(offers))
 
 
 def test_a_plan_that_breaks_the_minimum_distance_is_no_result() -> None:
