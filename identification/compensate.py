@@ -150,8 +150,11 @@ def compensate(
     barred = tuple("; ".join(clauses) for clauses in missed)
     if where.directions is not None:
         commands = commands - arm.servo_shift(where.directions)
-    errors, notes = distances(left), tuple(assumed)
-    return Compensation(arm, points, commands, errors, barred, turned, angles, sided, tolerance, notes)
+    errors, given = distances(left), commands if nominal is None else turned_into(nominal, *limits, arm.joint_types)
+    apart = (np.abs(commands - given) > 0.5 * np.pi)[:, [kind == REVOLUTE for kind in arm.joint_types]]
+    if (other := np.any(apart, axis=1) & (errors <= tolerance)).any():
+        assumed.append(f"{rows_in_words(other)}: a joint is more than 90 deg from the posture given; try the way there")
+    return Compensation(arm, points, commands, errors, barred, turned, angles, sided, tolerance, tuple(assumed))
 
 
 def _checked(name: str, values: ArrayLike, columns: int) -> Array:

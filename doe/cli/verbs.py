@@ -481,6 +481,8 @@ def program_files(
         doubts.append(
             f"Joint {j} slides and is axis {j} of the program: a rail that is an external axis needs --template"
         )
+    if robot == "ros" and any(loaded.counting.coupled_to):
+        doubts.append("Joints are as the controller counts: a driver that undoes coupled_to needs those of the URDF")
     if robot == "kuka" and made["name"].lower() != out.stem.lower():
         doubts.append(f"{out}: a KUKA needs a file with the name of the program: {made['name']}.src")
     if elsewhere := file.from_elsewhere:

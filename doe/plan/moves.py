@@ -333,12 +333,13 @@ def drive(
     times, named = after / (min(shortest) or after or 1.0), f"run{'s' * (len(no_approach) != 1)} "
     named += ", ".join(map(str, no_approach))
     how = "alternating directions (half of the runs each)" if approach == "alternate" else f"the {approach} direction"
+    path = "collision-free path" if approach == "any" else "free path from that side, within the limits,"
     were = f"{count_of(changed, 'posture')} {'was' if changed == 1 else 'were'} replaced"
     said = (
         (True, f"Moves: {count_of(vias, 'way-point')}, {times:.2f} times {SHORTEST}"),
         (approach != "any", f"joints approach the postures in {how}; plan and bound leave room for this at the limits"),
         (no_approach, f"no collision-free path from that side was found to {named}"),
-        (changed, f"{were}: no collision-free path led there"),
+        (changed, f"{were}: no {path} led there"),
     )
     lines += [sentence for true, sentence in said if true] + in_sentences(blocked)
     return Drive(measured, moves, data, lines)

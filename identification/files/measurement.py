@@ -317,10 +317,8 @@ class Plan(ByValue):
         """Name, with the unit in which it is shown, -> (m,) positions of each joint, as the controller counts."""
         return posture_columns(self.postures, self.joint_types)
 
-    @property
-    def units(self) -> tuple[str, ...]:
-        """(n) units in which joints are shown: deg, or mm."""
-        return tuple(name.partition("_")[2] for name in self.columns)
+    # (n) units in which joints are shown: deg, or mm
+    units = property(lambda self: tuple(name.partition("_")[2] for name in self.columns))
 
     @property
     def headings(self) -> list[str]:

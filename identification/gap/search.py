@@ -231,15 +231,9 @@ class Explanation:
     noise: int
     probability: float
 
-    @cached_property
-    def effects(self) -> tuple[Block, ...]:
-        """Its effects of the library."""
-        return tuple(b for b in self.blocks if b.listed)
-
-    @cached_property
-    def outside(self) -> tuple[Block, ...]:
-        """Its blocks outside the library."""
-        return tuple(b for b in self.blocks if b.outside)
+    # its effects of the library, and its blocks outside the library
+    effects = cached_property(lambda self: tuple(b for b in self.blocks if b.listed))
+    outside = cached_property(lambda self: tuple(b for b in self.blocks if b.outside))
 
     @cached_property
     def named(self) -> tuple[str, ...] | None:
