@@ -123,11 +123,13 @@ def check_distinct(problem: DesignProblem, what: str) -> None:
     parameters does, which stand for all, whatever lists and constraints leave of them;  what : is asked for"""
     many = np.random.default_rng(0).uniform(problem.lower, problem.upper, (4 * problem.parameters, problem.joints))
     if lost := problem.without_effect or indistinct(problem, many):
-        neutral = "at one payload, temperature, time and approach direction no posture distinguishes"
-        placed = any("base." in name and "tool[" in name for name in lost)  # the axes of a SCARA are parallel
-        hint = "; add [tool] or [base] to the arm file" * placed
-        sentence = f"no plan identifies all {problem.parameters} parameters; {neutral}: {'; '.join(lost)}{hint}"
-        raise JobError(f"{what}: {sentence}")
+        conditioned = bool(getattr(problem.model, "needs", ()))
+        plan = "plan" + " at one payload, temperature, time and approach direction" * conditioned
+        hint = "; plan with an arm file without these effects" * conditioned
+        if any("base." in name and "tool[" in name for name in lost):  # the axes of a SCARA are parallel
+            hint = "; add [tool] or [base] to the arm file"
+        sentence = f"no {plan} identifies all {problem.parameters} parameters; no posture distinguishes"
+        raise JobError(f"{what}: {sentence}: {'; '.join(lost)}{hint}")
 
 
 def observability(problem: DesignProblem, postures: Array, weights: Array | None = None) -> dict[str, float]:
