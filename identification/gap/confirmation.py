@@ -30,7 +30,7 @@ from identification.information import ALONE, spectrum
 from identification.measurements import POINT, Conditions, Measurements, distances
 from identification.validate import placed
 
-SESSION, OTHER_ROWS = "another session", "other rows"
+SESSION, OTHER_ROWS, LATER = "another session", "other rows", "a later time"
 
 
 # -- the test ----------------------------------------------------------------------------------------------------------
@@ -177,7 +177,7 @@ class HeldOut:
             if another or earlier > span or len(np.intersect1d(data.order, rows.order)):
                 transfer = SESSION
             else:
-                transfer = "a later time" if later > 0.0 else "an earlier time" if earlier > 0.0 else "other postures"
+                transfer = LATER if later > 0.0 else "an earlier time" if earlier > 0.0 else "other postures"
                 changes["time"] = (rows.order - first) / span - 0.5 if span else rows.conditions.time
         if rows.marker is not None and data.marker_names:
             number = {name: k for k, name in enumerate(data.marker_names)}
@@ -252,8 +252,8 @@ class HeldOut:
         Expected is the mean square that the model leaves in its own rows, larger by as much as its parameters were
         fitted to them, and what the errors of the parameters add in the new rows.
         """
-        # whether what happened in the session of the data happens in another, too, or was over: as fits better
-        later = [self, replace(self, over=True)] if self.transfer in (SESSION, OTHER_ROWS) else [self]
+        # whether what happened in the session of the data goes on, happens in another, too, or was over: as fits better
+        later = [self, replace(self, over=True)] if self.transfer in (SESSION, OTHER_ROWS, LATER) else [self]
         held_out = min(later, key=lambda one: float(np.linalg.norm(one.residuals(base, model)[1])))
         before, after, refitted = held_out.residuals(base, model)
         squares = np.square(model.residuals(data)[kept, POINT]).sum(axis=1)
