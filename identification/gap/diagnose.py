@@ -51,7 +51,7 @@ def diagnose(
     check_input(arm, measurements, holdout)
     copies, numbers = copied_rows(measurements), np.unique(measurements.originals)
     measurements = measurements.without_copies() if copies else measurements
-    one_session = determined(arm, measurements)
+    one_session, doubtful = determined(arm, measurements)
     arm, rows, generator = with_sessions(one_session, measurements), Rows.of(measurements), np.random.default_rng(seed)
     if not Model(arm).names:
         raise InputError("measurements: no parameter of the arm follows from these rows, allowed: data that show one")
@@ -65,7 +65,7 @@ def diagnose(
         held_out.check_same_arm(geometry(base), measurements)
     shares = iter(np.linspace(0.1, 0.7, 3 * PASSES + 1, endpoint=False).tolist())
     posterior = posterior_of(
-        library, rows, generator, lambda message: progress(next(shares), 1.0, f"step 2 of 3: {message}")
+        library, rows, generator, lambda text: progress(next(shares), 1.0, f"step 2 of 3: {text}"), doubtful
     )
     progress(0.7, 1.0, "step 3 of 3: fits, tests on other rows")
     rows, best, whole, numbers = posterior.at.rows, posterior.best, posterior.whole, numbers + 1

@@ -195,16 +195,14 @@ class Fitted:
         return full
 
 
-def determined(arm: Arm, measurements: Measurements) -> Arm:
+def determined(arm: Arm, measurements: Measurements) -> tuple[Arm, tuple[int, ...]]:
     """`practical`, with what so many rows of so little scatter determine, too: three standard errors of a mean. What
     they say less of than its machining does, one such error, stays as drawn, by the sizes that are likeliest in a fit
     with the prior of the machining: free, it would fit noise, and axes that may be anywhere fit contacts of no known
-    size best where all pass through what is touched."""
-    if not arm.chain.redundant:
-        return arm
-    found, _ = without_outliers(lambda rows: estimate(Model(with_sessions(arm, rows)), rows), measurements)
+    size best where all pass through what is touched. And rows (from 1) that are outliers of that fit."""
+    found, out = without_outliers(lambda rows: estimate(Model(with_sessions(arm, rows)), rows), measurements)
     error = (found.scatter or 0.0) / float(np.sqrt(measurements.positions.size))
-    return practical(arm, measurements, float(np.clip(PRACTICAL, error, 3.0 * error)), found.prior.deviations)
+    return practical(arm, measurements, float(np.clip(PRACTICAL, error, 3.0 * error)), found.prior.deviations), out
 
 
 def fitted_arm(
@@ -212,7 +210,7 @@ def fitted_arm(
 ) -> Arm:
     """The arm with these effects added, none: its geometry only, calibrated by rows that are not `left_out` (from 1),
     whatever a diagnosis would say of them."""
-    arm = determined(arm, measurements)
+    arm, _ = determined(arm, measurements)
     model = Model(arm.with_effects(*arm.effects, *specs))
     kept = ~np.isin(np.arange(len(measurements)) + 1, list(left_out))
     return replace(model.arm, calibration=Calibration(fit(model, Rows.of(measurements).pick(kept)).by_name))

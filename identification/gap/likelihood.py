@@ -132,15 +132,9 @@ class State:
     like: State | None = None
     left: dict[int, Array] = field(default_factory=dict)
 
-    @cached_property
-    def blocks(self) -> tuple[int, ...]:
-        """Numbers of the blocks, ascending."""
-        return tuple(block for block, _ in self.key)
-
-    @cached_property
-    def columns(self) -> Index:
-        """(k,) of its columns among all."""
-        return self.products.columns_of(self.blocks)
+    # numbers of the blocks, ascending; (k,) of their columns among all
+    blocks = cached_property(lambda self: tuple(block for block, _ in self.key))
+    columns = cached_property(lambda self: self.products.columns_of(self.blocks))
 
     @cached_property
     def sizes(self) -> Array:
@@ -164,10 +158,8 @@ class State:
         half = lapack.dpotri(self.factor, lower=1)[0] if self.key else self.factor
         return np.asarray(half + np.tril(half, -1).T)
 
-    @cached_property
-    def mean(self) -> Array:
-        """(k,) of its coefficients."""
-        return self.solve(self.products.right[self.columns][:, None])[:, 0]
+    # (k,) of its coefficients
+    mean = cached_property(lambda self: self.solve(self.products.right[self.columns][:, None])[:, 0])
 
     @cached_property
     def variances(self) -> Array:

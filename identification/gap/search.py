@@ -306,16 +306,24 @@ class Posterior:
 
 
 def posterior_of(
-    library: Library, rows: Rows, generator: np.random.Generator, tell: Callable[[str], object] = lambda _: None
+    library: Library,
+    rows: Rows,
+    generator: np.random.Generator,
+    tell: Callable[[str], object] = lambda _: None,
+    doubtful: Sequence[int] = (),
 ) -> Posterior:
     """The posterior of these rows, around a likely set, under each noise that is not unlikely.
 
     Of more than `MOST_ROWS` rows a random sample is searched (random, as every fourth row of a grid may have the same
     angle); the last pass has all of them, with the set and the noises that are not unlikely in the sample.
+
+    doubtful : rows (from 1) that the first fit does without
     """
-    few = rows if len(rows) <= MOST_ROWS else rows.pick(np.sort(generator.permutation(len(rows))[:MOST_ROWS]))
-    at, noise, names, chosen = fit(library.base, few), ("", 0.0), set[str](), dict[str, int]()
-    kept, passes = np.ones(len(few), dtype=bool), PASSES if few is not rows else 2 * PASSES  # few rows settle late
+    some = np.arange(len(rows)) if len(rows) <= MOST_ROWS else np.sort(generator.permutation(len(rows))[:MOST_ROWS])
+    few, kept = rows if len(some) == len(rows) else rows.pick(some), ~np.isin(some + 1, doubtful)
+    at, noise, names = fit(library.base, few.pick(kept)), ("", 0.0), set[str]()
+    chosen = {f"row:{(k,)}": 2 for k in np.flatnonzero(~kept).tolist()}  # several may hide each other
+    passes = PASSES if few is not rows else 2 * PASSES  # few rows settle late
     for turn in range(1, passes + 1):
         tell(f"pass {turn}")
         here, numbers = at.on(few), few.posture_numbers
@@ -328,9 +336,10 @@ def posterior_of(
         columns = columns @ spectrum(columns[kept], here.model.scales, prior=np.diag(hold)).root
         left = np.linalg.norm(left_out(columns, few.whiten(y).reshape(y.shape), numbers, kept), axis=1)
         # rows that are far (3 robust standard deviations and 30 rows at most: effort) and do not come together as
-        # whole postures or neighbors do, and postures with several that are far, of which a joint may be misread
+        # whole postures or neighbors do, unless the fit did without them; and postures with several that are far, of
+        # which a joint may be misread
         far = left > max(3.0 * float(np.median(left)) / 0.83, np.sort(left)[-31:][0])
-        wrong = [(k,) for k in np.flatnonzero(far & ~together(far, few.postures, numbers)).tolist()]
+        wrong = [(k,) for k in np.flatnonzero(far & ~(kept & together(far, few.postures, numbers))).tolist()]
         wrong += [tuple(np.flatnonzero(numbers == k).tolist()) for k in np.flatnonzero(np.bincount(numbers, far) > 1.0)]
         every = [n for n in noises(here) if not names or n.name in names]
         number = next(k for k, n in enumerate(every) if (n.name, n.size) == noise)

@@ -71,7 +71,7 @@ def test_what_many_rows_show_of_an_axis_near_the_reflector_belongs_to_the_geomet
     arm, q = Exponentials(generator, tool), generator.uniform(-2.5, 2.5, (300, 6))
     points = arm.poses(q + 5e-3 * generator.standard_normal(6))[:, :3, 3]
     data = Measurements(q, points + 0.002 * generator.standard_normal((300, 3)))
-    fitted = fit(Model(determined(ARM, data)), Rows.of(data))
+    fitted = fit(Model(determined(ARM, data)[0]), Rows.of(data))
     chi2 = float(np.sum(np.square(fitted.residual / 0.002)))
     assert abs(chi2 - fitted.freedom) < 4.0 * np.sqrt(2.0 * fitted.freedom)
 
@@ -84,7 +84,7 @@ def test_what_rough_rows_leave_as_drawn_costs_little(seed: int) -> None:
     arm, q = Exponentials(generator), generator.normal([0.0, 0.5, 0.5, 0.0, 0.7, 0.0], 0.6, (40, 6))
     points = arm.points(q + 0.1 * generator.standard_normal(6))
     data = Measurements(q, points + 6.0 * generator.standard_normal((40, 3)))
-    fitted, whole = fit(Model(determined(ARM, data)), Rows.of(data)), estimate(Model(ARM), data)
+    fitted, whole = fit(Model(determined(ARM, data)[0]), Rows.of(data)), estimate(Model(ARM), data)
     dropped = len(whole.names) - len(fitted.values)
     chi2 = (rms_distance(fitted.errors) ** 2 - whole.rms_after**2) * len(data) / 6.0**2
     assert chi2 < dropped + 4.0 * np.sqrt(2.0 * dropped)
@@ -97,7 +97,7 @@ def test_where_the_arm_stands_is_told_by_points_close_together() -> None:
     truth = Exponentials(generator)
     goals = truth.points(np.full((1, 6), 0.5)) + generator.uniform(-10.0, 10.0, (60, 3))
     data = Measurements(seated(truth, goals, 0.05, generator), goals)
-    assert {"base.rx", "base.ry", "base.rz"} <= {*Model(determined(ARM, data)).names}
+    assert {"base.rx", "base.ry", "base.rz"} <= {*Model(determined(ARM, data)[0]).names}
     assert diagnose(ARM, data).verdict == "none"
 
 
