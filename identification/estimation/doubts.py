@@ -212,13 +212,14 @@ def moved_points(model: Model, x: Array, residual: Array, measurements: Measurem
 
 
 def lacking(model: Model, measurements: Measurements) -> list[str]:
-    """What a model needs of rows that it is to predict, and what is taken where they do not have it."""
+    """What a model needs of rows that it is to predict, and what is taken where they do not have it; not of what
+    happened once in another session, which is over there."""
     said = list[str]()
     for need, column, missing, instead in (
         ("temperature", "temperature_C", measurements.temperature is None, "the mean temperature"),
         ("time", "order or time_s", measurements.order is None, "the order of the rows"),
     ):
-        if missing and (keys := [effect.key for effect in model.effects if need in effect.needs]):
+        if missing and (keys := [e.key for e in model.effects if need in e.needs and not e.once]):
             needs = f"{', '.join(keys)} need{'s' * (len(keys) == 1)}"
             said.append(f"{needs} the column {column}, which the measurements lack: {instead} is used")
     return said
