@@ -31,17 +31,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--against", metavar="TREE", help="another checkout, to compare with in test_speed.py")
 
 
-FIRST = {"notebooks": 0, "test_house.py": 1, "studies": 2, "cli": 3, "test_diagnose.py": 4}  # of the longest tests
-
-
-def pytest_configure(config: pytest.Config) -> None:
-    """The second worker collects from the end: of a new checkout each compiles half of the tests, not both all."""
-    if os.environ.get("PYTEST_XDIST_WORKER") == "gw1" and "::" not in "".join(config.args):
-        config.args.reverse()
+FIRST = ("notebooks", "test_house.py", "studies", "cli", "test_diagnose.py")  # folders and files of the longest tests
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The longest first: none must be the last that one core works on while the others wait; all workers alike."""
-    items.sort(key=lambda item: (min(FIRST.get(part, len(FIRST)) for part in item.path.parts), item.path))
+    """The longest first: none must be the last that one core works on while the others wait."""
+    items.sort(key=lambda item: min(FIRST.index(part) if part in FIRST else len(FIRST) for part in item.path.parts))
     gc.freeze()  # modules and tests stay to the end: to look through them for garbage takes seconds of the suite
     gc.set_threshold(50_000)  # and so does to look after every 700 of the many numbers of CasADi

@@ -254,8 +254,8 @@ class HeldOut:
         """
         # whether what happened in the session of the data goes on, happens in another, too, or was over: as fits better
         later = [self, replace(self, over=True)] if self.transfer in (SESSION, OTHER_ROWS, LATER) else [self]
-        held_out = min(later, key=lambda one: float(np.linalg.norm(one.residuals(base, model)[1])))
-        before, after, refitted = held_out.residuals(base, model)
+        tried = [(one, *one.residuals(base, model)) for one in later]
+        held_out, before, after, refitted = min(tried, key=lambda each: float(np.linalg.norm(each[2])))
         squares = np.square(model.residuals(data)[kept, POINT]).sum(axis=1)
         # the variance that white Gaussian noise gives
         white = 2.0 * float(np.mean(squares)) ** 2 / max(model.freedom, 1)

@@ -95,7 +95,7 @@ def inspect(arm: Arm, measurements: Measurements) -> Inspection:
         drawing = rms_distance(drawing_residuals(arm, measurements))
     # what leaves no more than noise leaves nothing to doubt
     no_better = fit is not None and (fit.p_value is None or fit.misfit) and CLEARLY * fit.rms_after > drawing
-    near = readings.written.rms < CLEARLY * DRAWN * arm.reach  # else the search was no other
+    near = readings.written.rms < CLEARLY * DRAWN * arm.reach  # farther off, the first search was this one
     if fit is not None and readings.better is None and near and (no_better or _asked(fit)):
         closer = read_differently(arm, measurements, doubted=True)
         readings = closer if closer.explained else readings

@@ -30,6 +30,7 @@ LEFT_OUT = {"cross_validation": [{"confirmed": False}]}
 LENGTHS = np.array([300.0, 200.0])
 SCATTERS = {"where": None, "misfit": {"significant": True}}
 LIKELIEST = "The 2 likeliest explanations have a probability of 0.80 together, the first 0.40."
+HALF = "Most likely, but with a probability below one half"
 PLACE = "Something outside the library is missing, at joint 3."
 
 
@@ -72,7 +73,7 @@ def test_effects_are_said_in_words_with_their_names(labels: list[str], words: st
         (said("named", "backlash:2") | {"warnings": ["implausible: .."]}, "Missing", "armcal check arm.toml data.csv"),
         (said("named", "backlash:2") | LEFT_OUT, "Not confirmed on rows left out in cross-validation.", ""),
         (said("ambiguous", "backlash:2", "axes_skew", sets=2), LIKELIEST, "discriminate arm.toml data.csv"),
-        (said("ambiguous", "backlash:2"), f"Most likely, but with a probability below one half: {PLAY}.", ""),
+        (said("ambiguous", "backlash:2"), f"{HALF}: {PLAY}.", "discriminate arm.toml"),
         (said("unknown"), PLACE, ""),
         (said("unknown") | SCATTERS, "The arm scatters by more than sigma_mm", ""),
         (said("unknown", "backlash:2"), f"{PLACE} In addition, each likelier than not: {PLAY}.", ""),

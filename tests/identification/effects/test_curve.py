@@ -127,9 +127,15 @@ HEAD = '"joint_error_curve"\njoint = 1\nfrom_deg = '
     [
         (f"{HEAD}0.0\nto_deg = 9.0", "values_deg: is missing"),
         (f"{HEAD}9.0\nto_deg = 0.0\n{FLAT}", "found 9 to 0, allowed: finite angles, the lower one first"),
-        (f'{HEAD}0.0\nto_deg = 9.0\n{FLAT}\ngeometry = {{"joint_offset:3" = 0.1}}', "unknown parameter"),
+        (
+            f'{HEAD}0.0\nto_deg = 9.0\n{FLAT}\ngeometry = {{"joint_offset:3" = 0.1}}',
+            "unknown parameter 'joint_offset:3'",
+        ),
         ('"gear_ratio"\njoint = 1\nfrom_deg = 0.0', "from_deg: unknown key of gear_ratio"),
-        ('"gear_ratio"\njoint = 1\ngeometry = {"joint_offset:1" = 0.1}', "geometry: unknown key of gear_ratio"),
+        (
+            '"gear_ratio"\njoint = 1\ngeometry = {"joint_offset:1" = 0.1}',
+            "geometry: unknown key of gear_ratio, allowed: for joint_error_curve only",
+        ),
     ],
 )
 def test_bad_files(tmp_path: Path, entry: str, message: str) -> None:

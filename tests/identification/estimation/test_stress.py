@@ -97,7 +97,7 @@ def test_rows_turns_and_size_do_not_matter(n: int, seed: int, scale: float) -> N
 def test_data_without_noise_are_fitted_exactly_and_said_to_be_so() -> None:
     """Offsets of any size, even half a turn, lengths 30 % off, a base elsewhere: there is no start to be poor."""
     generator = np.random.default_rng(5)
-    for n in (1, 3, 8):
+    for n in (1, 3, 12):
         lengths, q = np.full(n, 100.0), generator.uniform(-3.0, 3.0, (n + 4, n))
         errors, offsets, base = (generator.uniform(-size, size, k) for size, k in ((30.0, n), (3.1, n), (500.0, 2)))
         tip = np.exp(1j * np.cumsum(q + offsets, axis=1)) @ (lengths + errors) + base @ [1.0, 1.0j]

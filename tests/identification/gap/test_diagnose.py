@@ -407,8 +407,7 @@ def test_an_error_of_any_form_is_written_at_its_place_and_predicts_other_rows(na
 
 
 def test_effects_of_an_arm_that_sags_with_three_reflectors_at_each_posture() -> None:
-    """Compliance, two encoders and play beside 0.02 mm of noise of each row and 0.03 mm of each posture; in two of them
-    a joint is misread, in one two reflectors are mistaken for each other."""
+    """Compliance, encoders, play, noise of rows and of postures; two misread joints, two reflectors swapped."""
     rng = np.random.default_rng(5)
     data = measured_three(small_arm(rng, *OTHERS), random_postures(100, rng), rng)
     misread = np.zeros((300, 6))
