@@ -333,8 +333,7 @@ def with_points(chain: KinematicChain, contacts: bool = False) -> KinematicChain
     if TOOL in chain.settled or not names:
         return chain
     beside, away = ", ".join(names) if len(chain.tools) > 1 else "the measured point", 100.0  # [mm] as of most flanges
-    axis = chain.end[:3, :3].T @ chain.joints[-1].axis
-    across, other = circle_across(axis)
+    across, other = circle_across(chain.end[:3, :3].T @ chain.joints[-1].axis)
     turns = 2.0 * np.pi * np.arange(len(names)) / len(names)
     places = away * (np.cos(turns)[:, None] * across + np.sin(turns)[:, None] * other)
     where = "; ".join(", ".join(f"{x:z.0f}" for x in place) for place in places.tolist())

@@ -108,8 +108,7 @@ class Conditions(ByValue):
 
     def rows(self, index: Any) -> Conditions:
         """The conditions of some rows (any numpy index)."""
-        pick = {name: value[index] for name, value in vars(self).items() if value is not None}
-        return replace(self, **pick)
+        return replace(self, **{name: value[index] for name, value in vars(self).items() if value is not None})
 
 
 def condition_columns(n: int, further: Collection[str] = ()) -> dict[str, slice]:

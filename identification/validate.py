@@ -196,8 +196,7 @@ def validate(arm: Arm, measurements: Measurements, refit: str = "base") -> Valid
 def drawing_residuals(arm: Arm, measurements: Measurements) -> Array:
     """(m, d) residuals [mm] of an arm as it is drawn, without effects and calibration, placed as a fit to these
     measurements places it: a base for each session, one place for a measured point that several sessions share."""
-    chain = replace(arm.chain, fixed=frozenset())
-    drawing = replace(arm, chain=chain, effects=(), calibration=None)
+    drawing = replace(arm, chain=replace(arm.chain, fixed=frozenset()), effects=(), calibration=None)
     return placed(with_sessions(drawing, measurements), measurements, measurements.conditions)[2]
 
 

@@ -225,8 +225,7 @@ def _cell(
     if cell.srdf is not None:
         apart |= pairs_apart(named_file(folder, cell.srdf, "cell.srdf", "the arm file"))
     folders = tuple(dict.fromkeys(map(str, (Path(urdf.path).parent if urdf else folder, folder, *package_dirs))))
-    ends = str(file.base_link), str(file.tip_link)
-    bodies = ShapedBodies(tuple(shapes), solid, ends, folders, chain.reach)
+    bodies = ShapedBodies(tuple(shapes), solid, (str(file.base_link), str(file.tip_link)), folders, chain.reach)
     return Cell(bodies, cell.floor_z_mm, cell.clearance_mm, frozenset(apart))
 
 

@@ -395,7 +395,7 @@ class Linearized:
         """All beside blocks too large for anything else to explain them: as if they were of the base model."""
         every, large = self.products, self.products.state([(block, len(SIZES) - 1) for block in blocks])
         rows, freedom = every.gram[large.columns], every.freedom - len(large.columns)
-        gram = every.gram - rows.T @ large.solve(rows)
+        gram = every.gram - rows.T @ large.solve(rows) if blocks else every.gram
         left = replace(every, gram=gram, right=large.remaining[0], squares=large.squares, freedom=freedom)
         return replace(self, products=left)
 

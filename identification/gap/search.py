@@ -159,8 +159,7 @@ class Search:
             visits[left.key] += 1
             total = np.cumsum(steps[left.key])
             drawn = int(np.searchsorted(total, generator.random() * total[-1], side="right"))
-            pair = divmod(drawn, len(SIZES)) if drawn < len(total) - 1 else None
-            state = left.with_block(pair)
+            state = left.with_block(divmod(drawn, len(SIZES)) if drawn < len(total) - 1 else None)
             if move % max(len(state.key) // 10, 1) == 0:
                 if state.key not in odds:
                     odds[state.key] = self.log_odds(state)
@@ -346,8 +345,10 @@ def posterior_of(
         problem = linearized(library, at.on(every[number].rows), wrong)
         search, before = Search(problem.products, problem.blocks), [*chosen]
         top = _same_set(problem, chosen)
-        # from sizes in the middle: those of the last linearization would hold the climb where it was
-        top = top if names else search.climb(problem.products.state([(b, 2) for b in top.blocks]))
+        # from sizes in the middle, as those of the last linearization would hold the climb where it was; of rows from
+        # the largest, as each that is held back leaves so much that no other grows
+        start = [(b, len(SIZES) - 1 if problem.blocks[b].rows else 2) for b in top.blocks]
+        top = top if names else search.climb(problem.products.state(start))
         chosen = {problem.blocks[b].label: size for b, size in top.key}
         effects = [problem.blocks[b] for b in top.blocks if problem.blocks[b].listed]
         # the set with the odds of each noise, in units of the noise that was searched: with nothing, with the set, and

@@ -233,14 +233,14 @@ def test_outliers_are_listed_and_left_out_and_many_far_rows_are_structure() -> N
     assert bumped.outlier_rows == ()
 
 
-@pytest.mark.parametrize("row", [28, 30])
-def test_a_row_that_stands_out_beside_a_step_is_an_outlier_and_no_further_steps(row: int) -> None:
-    """The base jumps by 40 sigma after row 30, and a fit with two more steps would follow the row exactly."""
-    data = measured(None)
-    positions = data.positions + 2.0 * (np.arange(60) > 30)[:, None]
-    positions[row] += [0.8, -0.8]
-    named = diagnose(ARM, replace(data, positions=positions))
-    assert ([spec.key for spec in named.named.specs], named.outlier_rows) == (["base_step"], (row + 1,))
+@pytest.mark.parametrize(("rows", "off"), [([28], 1.1), ([30], 1.1), ([*range(40, 49)], 200.0)])
+def test_rows_that_stand_out_beside_a_step_are_outliers_and_nothing_else(rows: list[int], off: float) -> None:
+    """The base jumps by 40 sigma after row 30. Two more steps, or noise that lasts, would explain these rows, too."""
+    positions = measured(None).positions + 2.0 * (np.arange(60) > 30)[:, None]
+    positions[rows] += off * np.column_stack([np.cos(rows), np.sin(rows)])
+    named = diagnose(ARM, replace(measured(None), positions=positions))
+    keys = [spec.key for spec in named.named.specs]
+    assert (keys, named.scatter, named.outlier_rows) == (["base_step"], (), tuple(row + 1 for row in rows))
 
 
 def test_bad_input() -> None:
