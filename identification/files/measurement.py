@@ -185,15 +185,19 @@ def _joint_kinds(table: Table, joints: Joints) -> JointKinds:
     return JointKinds((REVOLUTE,) * joints if isinstance(joints, int) else joints)
 
 
-def read_postures(table: Table, kinds: JointKinds, name: str = "q") -> Array:
+def read_postures(table: Table, kinds: JointKinds, name: str = "q", planned: bool = False) -> Array:
     """(m, n) joint positions [rad, mm] of columns `q1_deg..`, which are as the controller counts. Raises `InputError`
-    for anything else;  name : `q`, or `commanded`"""
+    for anything else;  name : `q`, or `commanded`;  planned : nothing is measured there that would show a wrong unit"""
     columns = _joint_columns(table, name)
     if (last := max(columns, default=1)) > len(kinds):
         ends = ((1, kinds[0]), (len(kinds), kinds[-1]))
         allowed = " to ".join(column_of(f"{name}{j}", QUANTITIES[kind]) for j, kind in ends)
         raise InputError(f"{table.path}: found column {columns[last]}, allowed: {allowed}")
     read = [read_column(table, f"{name}{j}", QUANTITIES[kind]) for j, kind in enumerate(kinds, start=1)]
+    angles = [np.abs(q) for j, q in enumerate(read, start=1) if columns[j].endswith("_deg")]
+    if planned and len(table) > 3 and 0.0 < np.max(angles, initial=0.0) <= np.radians(2.0 * np.pi + 0.01):
+        message = f"all joint angles are within 6.3 deg and look like radians; name such columns {name}1_rad.."
+        warnings.warn(f"{table.path}: {message}", UserWarning, stacklevel=2)
     return kinds.counting.joints(np.column_stack(read))
 
 
@@ -351,7 +355,7 @@ class Plan(ByValue):
         """
         table = read_table(path, vias=vias)
         kinds, weights, via, given = _joint_kinds(table, joints), None, None, _units_of(table, "sigma", LENGTH)
-        postures = read_postures(table, kinds)
+        postures = read_postures(table, kinds, planned=not carried_out)
         conditions = {"sigma": read_column(table, "sigma", LENGTH, SIGMA_RANGE) if carried_out and given else None}
         if vias and "kind" in table:
             via = (table.frame["kind"].str.strip_chars() == VIA).fill_null(False).to_numpy()
@@ -419,7 +423,7 @@ def load_targets(path: PathLike, arm: Arm) -> dict[str, Any]:
         allowed = f"{', '.join(f'{axis}_mm' for axis in axes)}, or q1_deg..q{arm.links}_deg"
         raise InputError(f"{path}: found columns {', '.join(table.frame.columns)}, allowed: {allowed}")
     positions = np.column_stack([read_column(table, axis, LENGTH) for axis in axes]) if has_positions else None
-    postures = read_postures(table, arm.joint_types) if has_postures else None
+    postures = read_postures(table, arm.joint_types, planned=True) if has_postures else None
     orientations = read_orientations(table) if has_positions and arm.chain.point_column else None
     table.warn_unused(["run"])
     return {"targets": positions, "postures": postures, "orientations": orientations}

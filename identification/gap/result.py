@@ -359,8 +359,7 @@ class Diagnosis(Documented):
             if fit.covariance is None:
                 raise InputError("diagnosis: a candidate has no covariance, allowed: the result of diagnose()")
             order = [fit.parameter_names.index(name) for name in model.names]
-            predicted = model.linearize(postures, None, conditions)
-            yield *predicted, fit.covariance[np.ix_(order, order)], model.scales
+            yield *model.linearize(postures, None, conditions), fit.covariance[np.ix_(order, order)], model.scales
 
     @property
     def needs(self) -> frozenset[str]:

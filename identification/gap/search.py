@@ -198,8 +198,7 @@ class Search:
             if not self.givers[inside].any():
                 barred |= ~self.givers if self.needy[inside].any() else self.needy
             prior[barred], prior[inside] = -np.inf, -np.inf
-            alike = log_odds_of_sizes(self._sizes(left))[1]
-            of_size = np.where(self.counted[:, None], alike, -np.log(len(SIZES)))
+            of_size = np.where(self.counted[:, None], log_odds_of_sizes(self._sizes(left))[1], -np.log(len(SIZES)))
             self._tables[left.key] = self.products.added(left) + prior[:, None] + of_size
         return self._tables[left.key]
 

@@ -26,8 +26,7 @@ def arm_of(kind: str, **changes: object) -> Arm:
     axes = rotation_to_z(NORMAL).T if kind == "plane" else np.eye(3)
     base = pose(-axes @ (LOW if kind == "plane" else CENTER), axes)
     instrument = Sphere(BALL) if kind == "sphere" else Plane()
-    known = frozenset({TOOL})
-    chain = replace(CHAIN, instrument=instrument, base=base, tools={"1": REFLECTOR}, settled=known)
+    chain = replace(CHAIN, instrument=instrument, base=base, tools={"1": REFLECTOR}, settled=frozenset({TOOL}))
     joints = tuple(replace(joint, lower=-2.0, upper=2.0) for joint in chain.joints)
     return Arm(replace(chain, joints=joints), sigma=0.01, **changes)
 

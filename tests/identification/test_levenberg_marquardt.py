@@ -156,8 +156,7 @@ def test_statuses_say_how_it_ended() -> None:
     cut = minima(rosenbrock(10.0), np.array([[-1.2, 1.0]]), rounding=np.array([1e-12]), iterations=2)
     assert cut.status[0] is Status.iteration_limit
     assert cut.iterations[0] == 2
-    nowhere = minima(rosenbrock(10.0), np.array([[np.inf, 1.0]]))
-    assert nowhere.status[0] is Status.solver_failed
+    assert minima(rosenbrock(10.0), np.array([[np.inf, 1.0]])).status[0] is Status.solver_failed
 
 
 @pytest.mark.parametrize("steepness", [1e1, 1e3, 1e5, 1e6])

@@ -116,8 +116,7 @@ def test_what_an_encoder_reads_of_a_joint_that_stays_is_no_motion() -> None:
         found = Measurements(scale * read, np.zeros((60, 2)))
         np.testing.assert_array_equal(found.conditions.directions, np.repeat([[1, 1], [1, -1], [-1, -1]], 20, axis=0))
         assert found.posture_numbers.tolist() == np.repeat([0, 1, 2], 20).tolist()
-    scan = directions_from_order(-2e-4 * np.arange(20.0)[:, None])
-    assert scan[3:].max() == -1.0
+    assert directions_from_order(-2e-4 * np.arange(20.0)[:, None])[3:].max() == -1.0
 
 
 def test_origin_says_where_a_calibration_may_be_used() -> None:

@@ -42,8 +42,7 @@ def session(number: int, m: int = 20, **columns: object) -> Measurements:
 def test_each_session_has_a_base_of_its_own() -> None:
     """Bases are recovered by any angle: relative to the first, rotation and shift of the tip in its frame."""
     data = pooled_sessions({f"day {k}": session(k) for k in range(3)})
-    arm = with_sessions(Arm(LENGTHS), data)
-    found = estimate(Model(arm), data)
+    found = estimate(Model(with_sessions(Arm(LENGTHS), data)), data)
     assert found.rms_after < 1e-8
     values = dict(zip(found.names, found.parameters, strict=True))
     first = BASES[0]

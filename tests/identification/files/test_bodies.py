@@ -138,8 +138,7 @@ def test_a_link_does_not_lead_out(tmp_path: Path) -> None:
 )
 def test_bad_collisions_get_one_line_when_they_are_asked_for(tmp_path: Path, mesh: str, said: str) -> None:
     (tmp_path / "part.stl").write_bytes(binary(1000.0 * FACES))
-    arm = arm_of(tmp_path, mesh)
-    refused(bodies, arm, names=said.split(".*"))
+    refused(bodies, arm_of(tmp_path, mesh), names=said.split(".*"))
 
 
 def test_bodies_of_the_urdf_file_can_be_left_out(tmp_path: Path) -> None:

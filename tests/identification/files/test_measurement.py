@@ -234,6 +234,19 @@ def test_plans_and_targets(tmp_path: Path) -> None:
         assert (found["postures"] is not None) is postures
 
 
+@pytest.mark.parametrize("read", [Plan.load, lambda path: load_targets(path, IN_PLANE)])
+def test_degrees_of_plans_that_look_like_radians_are_doubted(tmp_path: Path, read: Callable[[Path], object]) -> None:
+    path, within = tmp_path / "plan.csv", "\n3.14,-1.57\n0.5,2\n-2.9,0\n"
+    for unit, more in (("deg", "90,0\n"), ("rad", "0.1,0.2\n"), ("deg", "")):  # a few may be near the drawing's zero
+        path.write_text(f"q1_{unit},q2_{unit}{within}{more}")
+        read(path)  # warnings are errors
+    path.write_text(f"q1_deg,q2_deg{within}0.1,0.2\n")
+    with pytest.warns(
+        UserWarning, match=r"plan.csv: all joint angles are within 6.3 deg and look like radians; name s"
+    ):
+        read(path)
+
+
 # -- orientations ------------------------------------------------------------------------------------------------------
 ANGLES = np.array([[10.0, -20.0, 30.0], [0.0, 45.0, 170.0]])
 

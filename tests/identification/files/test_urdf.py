@@ -100,5 +100,4 @@ def test_bad_files_are_one_line(tmp_path: Path, old: str, new: str, found: str) 
     assert old in text
     path = tmp_path / "bad.urdf"
     path.write_text(text.replace(old, new, 1))
-    message = refused(lambda: read_urdf(path).chain(*ENDS), names=found.split(".*"))
-    assert message.startswith(f"{path}: ")
+    assert refused(lambda: read_urdf(path).chain(*ENDS), names=found.split(".*")).startswith(f"{path}: ")

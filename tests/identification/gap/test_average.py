@@ -30,8 +30,7 @@ def three_sets() -> Posterior:
     model, q = Model(ARM.with_effects(EffectSpec("encoder_eccentricity", 2))), rng.uniform(-2.0, 2.0, (50, 2))
     exact = model.position(q, np.r_[np.zeros(4), 8e-4, 8e-4])
     rows = Rows.of(Measurements(q, exact + 0.05 * rng.normal(size=(50, 2))))
-    walked = posterior_of(hypotheses(ARM, frozenset(), rows), rows, rng)
-    return in_sets(walked, SETS, SHARES)
+    return in_sets(posterior_of(hypotheses(ARM, frozenset(), rows), rows, rng), SETS, SHARES)
 
 
 def in_sets(walked: Posterior, sets: Sequence[tuple[str, ...]], shares: Sequence[float]) -> Posterior:

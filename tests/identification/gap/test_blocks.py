@@ -150,8 +150,7 @@ def test_a_users_own_effect_is_named() -> None:
     spec, rng = EffectSpec("lag", 2, {"c": 4e-4}), np.random.default_rng(5)
     conditions = Measurements(POSTURES, np.zeros((40, 2))).conditions
     exact = Model(ARM.with_effects(spec)).position(POSTURES, conditions=conditions)
-    data = Measurements(POSTURES, exact + 0.02 * rng.normal(size=(40, 2)))
-    found = diagnose(ARM.with_effects(), data)
+    found = diagnose(ARM.with_effects(), Measurements(POSTURES, exact + 0.02 * rng.normal(size=(40, 2))))
     assert (spec.key,) in {tuple(s.key for s in c.specs) for c in found.candidates}
     assert "LinAlgError" not in str(found)
 

@@ -151,5 +151,4 @@ def test_the_climb_ends_where_rows_are_fitted_exactly() -> None:
     rng = np.random.default_rng(7)
     z = rng.normal(size=(12, 40)) / np.sqrt(12.0)
     these = products_of(z, z[:, :3] @ [40.0, -30.0, 20.0], 9, np.arange(41), np.zeros(40, dtype=bool))
-    search = Search(these, [Block(f"{k}", "time", 1.0) for k in range(40)])
-    assert len(search.climb().blocks) <= 9
+    assert len(Search(these, [Block(f"{k}", "time", 1.0) for k in range(40)]).climb().blocks) <= 9

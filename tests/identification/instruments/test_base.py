@@ -205,8 +205,7 @@ def test_an_effect_is_named_and_holds_elsewhere() -> None:
     chain = replace(planar_chain(LENGTHS), instrument=PlanarDistance((("1", (400.0, 300.0)),)))
     truth = Arm(chain, sigma=SIGMA, effects=(EffectSpec("encoder_eccentricity", 2, {"a": 6e-4, "b": 3e-4}),))
     generator = np.random.default_rng(5)
-    rows = simulate(truth, generator.uniform(-2.5, 2.5, (80, 3)), generator)
-    found = diagnose(BLANK, rows)
+    found = diagnose(BLANK, simulate(truth, generator.uniform(-2.5, 2.5, (80, 3)), generator))
     assert found.named.effects == ("encoder_eccentricity:2",)
     assert "center 1" not in str(found)  # which is averaged over, and of which the arm says where fits start
     moved = replace(chain, instrument=PlanarDistance((("1", (-300.0, 500.0)),)))

@@ -232,8 +232,7 @@ def test_a_slide_across_an_axis_tells_the_size() -> None:
     turn, slide = DHRow(300.0, 0.0, 0.0), DHRow(0.0, 0.0, 0.0, type="prismatic", limits=(0.0, 100.0))
     across = DHRow(0.0, HALF, 0.0, type="prismatic", limits=(0.0, 100.0))
     for rows_of, is_open in (((turn, turn, slide), True), ((across, turn, turn), False), ((turn, turn), True)):
-        chain = replace(chain_of(rows_of), instrument=Socket())
-        assert bool(chain.size_is_open[0]) is is_open
+        assert bool(replace(chain_of(rows_of), instrument=Socket()).size_is_open[0]) is is_open
 
 
 def test_no_motion_of_arm_and_cups_together_is_a_parameter() -> None:

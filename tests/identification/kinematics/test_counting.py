@@ -63,8 +63,7 @@ def test_columns_and_joints(counting: Counting, random: object) -> None:
     again = Counting.of_matrix(counting.matrix, counting.zero)
     assert again is not None  # perhaps said in another way
     np.testing.assert_array_equal(again.matrix, counting.matrix)
-    kinds = JointKinds(["revolute"] * n, counting)
-    assert JointKinds(pickle.loads(pickle.dumps(kinds))).counting == counting
+    assert JointKinds(pickle.loads(pickle.dumps(JointKinds(["revolute"] * n, counting)))).counting == counting
     np.testing.assert_array_equal(JointKinds(("revolute",) * n).counting.columns(q), q)
 
 

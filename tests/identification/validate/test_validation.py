@@ -435,8 +435,7 @@ def fit(data: Measurements, arm: Arm = SIX_AXES) -> Identification:
 def test_a_point_that_nothing_holds_stays_near_the_arm() -> None:
     """Two places of a reflector fitted as one: the sum of squares of a SCARA falls with its height, without an end."""
     away = np.random.default_rng(2).uniform(-15.0, 15.0, 3)
-    data = cell(2, {(1, "A"): away}, 2, marked=False, chain=SCARA)
-    assert fit(data, Arm(SCARA)).status is Status.converged
+    assert fit(cell(2, {(1, "A"): away}, 2, marked=False, chain=SCARA), Arm(SCARA)).status is Status.converged
 
 
 def test_validation_finds_points_that_the_calibration_does_not_have() -> None:
