@@ -64,7 +64,7 @@ class ArmModel(Model):
                 tip = chain.frames(q, self.geometry)[-1]
                 conditions[at["orientation"]] = ca.vec(chain.measured(tip, self.geometry, ca.SX(point)).axes.T)
             *symbols, position = self.symbols
-            each += ca.substitute([position], symbols, [q, conditions, p])
+            each += ca.substitute([position], symbols, [q, ca.densify(conditions), p])  # axes have zeros
         return ca.vertcat(*each)
 
     # -- what constraints need -------------------------------------------------------------------------------------

@@ -81,8 +81,7 @@ def test_a_killed_process_ends_the_run_and_nothing_is_lost(tmp_path: Path) -> No
     with pytest.raises(JobError, match="--resume"):
         run_tasks(work.die_at_nine, KEYS, path, 2)
     assert len(pl.read_parquet(path)) < 24
-    again = run_tasks(work.draw, KEYS, path, resume=True)
-    assert again["value"].to_list() == work.drawn(KEYS)
+    assert run_tasks(work.draw, KEYS, path, resume=True)["value"].to_list() == work.drawn(KEYS)
 
 
 def test_two_runs_that_go_on_with_one_table_keep_each_others_rows(tmp_path: Path) -> None:

@@ -251,8 +251,7 @@ def test_many_moves_at_once_are_each_as_alone() -> None:
     together, seen = room.free(starts, ends), room.free(starts, ends, levels=3)
     assert 10 < together.sum() <= seen.sum() < 70  # what is seen to collide is not free
     assert not np.any(together & ~seen)
-    alone = [room.free(a[None], b[None])[0] for a, b in zip(starts, ends, strict=True)]
-    assert together.tolist() == alone
+    assert together.tolist() == [room.free(a[None], b[None])[0] for a, b in zip(starts, ends, strict=True)]
 
 
 def test_a_move_along_a_wall_is_not_proven_and_ends_all_the_same() -> None:

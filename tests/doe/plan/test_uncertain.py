@@ -100,12 +100,13 @@ def test_bad_input_is_said() -> None:
 
 
 def test_the_best_of_all_plans_of_several_points() -> None:
-    """Two reflectors, and two frames with their orientations, on three joints: every plan of 4 of 8 postures, by
-    central differences of positions that are compared with those of the arm itself."""
+    """Two reflectors, and two frames with their orientations, on three joints, parallel ones too: every plan of 4 of 8
+    postures, by central differences of positions that are compared with those of the arm itself."""
     generator = np.random.default_rng(8)
     tools = {"a": np.array([40.0, 30.0, 20.0]), "b": np.array([-50.0, 10.0, 60.0])}
-    for angle_scale, each in ((None, 3), (200.0, 6)):
-        chain = replace(chain_of(TABLE_ROWS), tools=tools, instrument=Tracker(angle_scale))
+    parallel, settled = [replace(row, alpha=0.0) for row in TABLE_ROWS], frozenset({"tool"})
+    for rows, angle_scale, each in ((TABLE_ROWS, None, 3), (TABLE_ROWS, 200.0, 6), (parallel, 200.0, 6)):
+        chain = replace(chain_of(rows), tools=tools, settled=settled, instrument=Tracker(angle_scale))
         choices = generator.uniform(-2.0, 2.0, (8, 3))
         problem = DesignProblem.of(Model(Arm(chain, sigma=0.05)), choices=choices)
         case = robust_problem(problem, missing_effects(problem, ["encoder_eccentricity", "gear_ratio"]))
@@ -125,8 +126,8 @@ def test_the_best_of_all_plans_of_several_points() -> None:
         every = [np.trace(np.linalg.solve(of_each[list(four)].sum(axis=0) + prior, poses)) for four in FOURS]
         found = solve(case, 4, starts=20)
         assert -found.value / 4 == pytest.approx(min(every), rel=1e-5)
-        expected = 0.05 * np.sqrt(min(every) / 2)  # [mm] of one of the two points: orientations are no distance
-        assert (found.expected_error or {})["plan"] == pytest.approx(expected, rel=1e-5)
+        error = (found.expected_error or {})["plan"]  # of one of the two points: orientations are no distance
+        assert error == pytest.approx(0.05 * np.sqrt(min(every) / 2), rel=1e-5)
 
 
 def test_the_bound_of_a_random_list_holds_for_all_postures() -> None:

@@ -37,8 +37,7 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Folder]:
         folder.write("arm.toml", folder.read("arm.toml").replace('"paper-4-link"', f"'''{NASTY}'''"))
         folder.simulated()
         assert folder.armcal("identify", "arm.toml", "data.csv", "--out", CALIBRATED).code == 0
-        words = "report", "arm.toml", CALIBRATED, "plan.csv", "data.csv", "--out", "page.html"
-        done = folder.armcal(*words)
+        done = folder.armcal("report", "arm.toml", CALIBRATED, "plan.csv", "data.csv", "--out", "page.html")
         assert done.code == 0, done.err
         dh = "".join(f"[[dh]]\na_mm = {a}\nalpha_deg = {alpha}\nd_mm = {d}\n" for a, alpha, d in ROWS)
         folder.write("six.toml", SPATIAL.replace('"spatial"\n', f'"spatial"\n{dh}', 1))
