@@ -427,8 +427,7 @@ class Task(NamedTuple):
             return -0.5 * np.sum(self.gaps(q, goal[rows])[0] ** 2, axis=1)
 
         def slopes(q: Array, rows: Index) -> tuple[Array, Array]:
-            bent = (q[:, None] + bends).reshape(-1, n)
-            gap, jacobian = self.gaps(bent, np.repeat(goal[rows], len(bends)))
+            gap, jacobian = self.gaps((q[:, None] + bends).reshape(-1, n), np.repeat(goal[rows], len(bends)))
             gap, jacobian = (each.reshape(len(q), len(bends), *each.shape[1:]) for each in (gap, jacobian))
             along = np.einsum("kd,kidn->kin", gap[:, 0], jacobian)
             bend = (along[:, 1:] - along[:, :1]) / (BEND * units[:, None])

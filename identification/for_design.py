@@ -232,8 +232,7 @@ class ArmModel(Model):
         """The model with these effects in it, each posture's own error in its sigma; the standard deviations of their
         parameters; and the mean square [mm^2] of the tip's distance at postures (k, n) that no plan can lower."""
         own_error = missing.prior.own_error
-        arm = replace(missing.arm, sigma=float(np.hypot(self.sigma or 0.0, own_error)))
-        model = ArmModel(arm, self.held)
+        model = ArmModel(replace(missing.arm, sigma=float(np.hypot(self.sigma or 0.0, own_error))), self.held)
 
         def beyond(poses: Array) -> float:
             levers = of_positions(model).joint_levers(poses)[:, POINT]
@@ -290,8 +289,7 @@ class ArmModel(Model):
         offsets of a planar chain: all but the first, and the first too with a base offset; None: it does not hold."""
         if self.closed_form is None or not self.closed_form.exact:
             return None
-        offset = any(effect.name == "base_offset" for effect in self.effects)
-        return tuple(range(0 if offset else 1, self.joints))
+        return tuple(range(0 if any(effect.name == "base_offset" for effect in self.effects) else 1, self.joints))
 
 
 def design_model(model: Any) -> Any:

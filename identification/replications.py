@@ -161,8 +161,7 @@ class Replications:
         positions = sigma * rng.standard_normal((count, len(plan), self.truth.dimension))
         positions += self.truth.position(plan.postures, conditions=plan.conditions)
         batch = estimate_batch(self.model, plan, positions)
-        parameters = np.where(batch.converged[:, None], batch.parameters, np.nan)
-        errors = (parameters - self.values) @ self.transform.T
+        errors = (np.where(batch.converged[:, None], batch.parameters, np.nan) - self.values) @ self.transform.T
         turns = [*self.model.parameters.joint_offsets.tolist(), *range(len(self.values), len(self.transform))]
         errors[:, turns] = (errors[:, turns] + np.pi) % (2.0 * np.pi) - np.pi  # known up to a whole turn
         jacobian = self.model.jacobian(plan.postures, self.values, plan.conditions)
@@ -190,8 +189,7 @@ def true_values(model: Model, truth: Model) -> Array:
     drawn, real = (Model(replace(each.arm, effects=())) for each in (model, truth))
     if drawn.names != real.names:
         # three equations of each for some forty parameters
-        postures = np.random.default_rng(0).uniform(model.arm.lower, model.arm.upper, (100, model.joints))
-        plan = plan_of(real, postures)
+        plan = plan_of(real, np.random.default_rng(0).uniform(model.arm.lower, model.arm.upper, (100, model.joints)))
         same = estimate_batch(drawn, plan, real.position(plan.postures, conditions=plan.conditions)[None])
         values |= drawn.parameters.mapping(same.parameters[0])
     return model.parameters.vector(values)

@@ -209,8 +209,7 @@ def _refitted(arm: Arm, measurements: Measurements, refit: str) -> tuple[list[di
     """
     model, conditions, provenance = Model(arm), measurements.conditions, arm.provenance
     check_shape(model, measurements)
-    own = measurements.share_fitted(provenance) >= MOST
-    if refit != "none" and not own:
+    if refit != "none" and measurements.share_fitted(provenance) < MOST:
         conditions = model.afterwards(conditions, len(measurements))
     if measurements.temperature is not None and (mean := provenance.get("mean_temperature_C")) is not None:
         conditions = replace(conditions, temperature=measurements.temperature - float(mean))

@@ -266,8 +266,7 @@ def diagnosis_document(
         return Pictures(lambda: resolve_name(f"identification.documents.pictures:{name}")(diagnosis))
 
     data, named = diagnosis.to_json() | {"files": files}, diagnosis.named
-    explained = data["verdict"] in ("named", "ambiguous")
-    reliance = [f"95 % intervals: {named.uncertainty.sentence}."] if explained else []
+    reliance = [f"95 % intervals: {named.uncertainty.sentence}."] if data["verdict"] in ("named", "ambiguous") else []
     sections = [Section("What is missing", [*missing_parts(data), *reliance])]
     if data["replication"]:
         sessions = []

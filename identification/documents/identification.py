@@ -172,8 +172,7 @@ def hardly_better(data: Data) -> list[str]:
         f"{in_a_sentence(offered[f'rms{of}_mm'])} mm RMS (largest {in_a_sentence(offered[f'max{of}_mm'])})"
         for of in ("", "_geometry")
     )
-    placed = ", each with the base refitted" if offered["refitted"] else ""
-    seen = f"on rows left out of the fit{placed}"
+    seen = f"on rows left out of the fit{', each with the base refitted' * offered['refitted']}"
     return [f"This model {predicts} than the geometry alone: {model} against {geometry} {seen}."]
 
 

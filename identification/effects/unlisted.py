@@ -50,8 +50,7 @@ def slow_waves(place: ca.SX, with_last: bool = False) -> ca.SX:
 def _by_approach(self: Effect, chain: ArmState, values: ca.SX) -> ca.SX:
     """Of the angle and the last move, with another sign by its direction."""
     j = self.joint_index
-    move = ca.fabs(chain.q[j] - chain.previous[j])
-    waves = ca.vertcat(1.0, turning_waves(chain.q[j], [1]), ca.exp(-move))
+    waves = ca.vertcat(1.0, turning_waves(chain.q[j], [1]), ca.exp(-ca.fabs(chain.q[j] - chain.previous[j])))
     return chain.directions[j] * ca.dot(waves, values)
 
 

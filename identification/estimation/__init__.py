@@ -129,8 +129,7 @@ def without_outliers(
     while True:
         fitted = fit(measurements.rows(kept))
         if not fitted.outlier_rows:
-            left_out = np.setdiff1d(np.arange(len(measurements)), kept)
-            return fitted, tuple((left_out + 1).tolist())
+            return fitted, tuple((np.setdiff1d(np.arange(len(measurements)), kept) + 1).tolist())
         kept = np.delete(kept, np.array(fitted.outlier_rows) - 1)
 
 

@@ -163,8 +163,7 @@ def flipped(model: Model, parameters: Array, identifiable: NDArray[np.bool_]) ->
     if of_links[worst]:
         comparison = f"link {p.joint} of {length:g} mm comes out {length + value:.4g} mm long"
         return [f"implausible: {comparison}; another arm, frame or unit?"]
-    correction = f"{p.name} comes out as {value * p.to_file:.4g} {p.file_unit}"
-    return [f"implausible: {correction}; {OTHERS}"]
+    return [f"implausible: {p.name} comes out as {value * p.to_file:.4g} {p.file_unit}; {OTHERS}"]
 
 
 def another_frame(model: Model, measurements: Measurements) -> list[str]:

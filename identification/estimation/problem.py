@@ -229,8 +229,7 @@ class Problem:
         """(K,) norms of the weighted residuals that rounding errors make of coordinates as large as those measured or,
         since contacts read nothing, as the arm."""
         # 1e-14 of a coordinate, after a chain of some ten operations
-        squares = np.maximum(np.sum(self.positions**2, axis=2), self.model.reach**2)
-        return 1e-14 * np.sqrt(squares @ self.weights)
+        return 1e-14 * np.sqrt(np.maximum(np.sum(self.positions**2, axis=2), self.model.reach**2) @ self.weights)
 
     @cached_property
     def prior_rows(self) -> Array:
@@ -287,8 +286,7 @@ class Problem:
         def rows(x: Array, index: Index) -> tuple[Array, Array]:
             residuals, jacobians = rows_of_data(x, index)
             if len(prior):
-                left = (prior @ (self.prior_center - x)[..., None])[..., 0]
-                residuals = np.concatenate([residuals, left], axis=1)
+                residuals = np.concatenate([residuals, (prior @ (self.prior_center - x)[..., None])[..., 0]], axis=1)
                 jacobians = np.concatenate([jacobians, np.broadcast_to(prior, (len(x), *prior.shape))], axis=1)
             return compressed(residuals, jacobians)
 

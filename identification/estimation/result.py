@@ -238,8 +238,7 @@ class Identification(Documented, ReadOnly):
     def to_json(self) -> dict[str, Any]:
         """Keys of `identify` (identification/files/README.md, "JSON keys"): file units, null for unknown values."""
         rows, lines, frames = self.dh
-        table = [row.to_json() for row in rows]
-        dh = {"dh_table": table, "dh_places": lines, "dh_frames": frames} if rows else {}
+        dh = {"dh_table": [row.to_json() for row in rows], "dh_places": lines, "dh_frames": frames} if rows else {}
         return {**self._summary(), "corrected_values": [row.to_json() for row in self.corrected_values], **dh}
 
     def _summary(self) -> dict[str, Any]:

@@ -317,8 +317,7 @@ def freedom_kept(names: Sequence[str], freedom: Array) -> dict[str, Any]:
 
 def limits_95(parameters: ParameterSet, values: Array, deviations: Array, freedom: ArrayLike) -> Array:
     """(p, 2) confidence limits, cut at the physical bounds;  values, deviations, freedom : (p,), see `quantile_95`."""
-    half = quantile_95(freedom) * deviations
-    limits = values[:, None] + half[:, None] * np.array([-1.0, 1.0])
+    limits = values[:, None] + (quantile_95(freedom) * deviations)[:, None] * np.array([-1.0, 1.0])
     return np.clip(limits, parameters.lower[:, None], parameters.upper[:, None])
 
 
@@ -461,8 +460,7 @@ def mean_of(values: Array, groupings: Sequence[Groups], least: float = 0.0) -> M
     """Mean of (m,) values with the largest variance over the groupings, and at least the variance `least`."""
     each = []
     for groups in groupings:
-        counts = np.bincount(groups)
-        means = np.bincount(groups, values) / counts
+        means = np.bincount(groups, values) / np.bincount(groups)
         variance = float(np.var(means, ddof=1) / len(means)) if len(means) > 1 else np.inf
         each.append(Mean(float(np.mean(values)), variance, max(len(means) - 1.0, 1.0)))
     widest = max(each, key=lambda mean: mean.variance)

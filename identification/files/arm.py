@@ -324,8 +324,7 @@ def _calibration(
     covariance, factors = None, np.array([1.0 / p.to_file for p in order])
     if table.covariance is not None:
         covariance = np.array(table.covariance).reshape(len(order), len(order)) * np.outer(factors, factors)
-    names = tuple(p.name for p in order)
-    return Calibration(in_api, names, covariance, provenance, base, tools), chain
+    return Calibration(in_api, tuple(p.name for p in order), covariance, provenance, base, tools), chain
 
 
 # -- the drawing that a file names -------------------------------------------------------------------------------------

@@ -308,8 +308,7 @@ class Plan(ByValue):
         if (asked := self.conditions.get("directions")) is None:
             return []
         motions = np.diff(self.postures, axis=0, prepend=self.postures[:1])  # to the first it may come from anywhere
-        against = np.any(motions * np.nan_to_num(asked) < 0.0, axis=1)
-        return (np.flatnonzero(against[self.is_run]) + 1).tolist()
+        return (np.flatnonzero(np.any(motions * np.nan_to_num(asked) < 0.0, axis=1)[self.is_run]) + 1).tolist()
 
     @property
     def shares(self) -> Array:

@@ -74,9 +74,8 @@ class Reading:
     def changes(self) -> int:
         """How many things are read differently."""
         swapped = int(np.count_nonzero(self.order - np.arange(len(self.order))))
-        zeros = int(np.count_nonzero(self.quarters))
         others = (self.mirrored, bool(self.sums), self.other_units)
-        return swapped // 2 + zeros + self.signs.count(-1) + sum(others)
+        return swapped // 2 + int(np.count_nonzero(self.quarters)) + self.signs.count(-1) + sum(others)
 
     @property
     def moved_zeros(self) -> bool:
@@ -233,8 +232,7 @@ def _of_drawing(arm: Arm, measurements: Measurements, search: bool, doubted: boo
             positions = np.multiply.outer([reading.scaled for reading in some], x)
             positions[[reading.mirrored for reading in some], :, -1] *= -1.0
             postures = np.array([reading.postures(q * (reading.units or 1.0)) for reading in some])
-            frames = frames_at(postures)[..., -2, :, :]  # of the tip
-            rows = Unplaced(frames, positions, chain.reach, tool=tool, hopeless=hopeless)
+            rows = Unplaced(frames_at(postures)[..., -2, :, :], positions, chain.reach, tool=tool, hopeless=hopeless)
             for reading, place in zip(some, chain.instrument.place_each(rows), strict=True):
                 yield replace(reading, base=place.base, rms=place.rms)
 

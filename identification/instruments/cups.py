@@ -159,8 +159,7 @@ class Socket(AtTargets):
         """Centers (3,) of all cups at values of the parameters."""
         starts, following = self._tied
         places, cups = ca.SX(ca.DM(starts)), [slice(3 * k, 3 * k + 3) for k in range(len(self.at))]
-        free = [k for k in range(len(starts)) if k not in following]
-        places[free] = values
+        places[[k for k in range(len(starts)) if k not in following]] = values
         for _ in range(4 if following else 0):  # effort: of Newton's method
             gaps = (ca.norm_2(places[cups[b]] - places[cups[a]]) - length for a, b, length in self._pairs)
             places[[*following]] -= ca.mtimes(ca.DM(np.array([*following.values()])), ca.vertcat(*gaps))

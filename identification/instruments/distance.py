@@ -51,8 +51,7 @@ class Distance(Instrument):
         middle = points.mean(axis=1, keepdims=True)
         around = (points - middle) / rows.reach
         columns = np.concatenate([2.0 * around, np.ones((*around.shape[:2], 1))], axis=2)
-        lengths = (rows.readings[:, 0] + self.radius) / rows.reach
-        goals = np.sum(around**2, axis=2) - lengths**2
+        goals = np.sum(around**2, axis=2) - ((rows.readings[:, 0] + self.radius) / rows.reach) ** 2
         solved = (np.linalg.pinv(columns, rcond=RANK_TOLERANCE) @ goals[..., None])[..., 0]
         normals = np.linalg.eigh(np.swapaxes(around, 1, 2) @ around)[1][..., 0]  # of the least scatter
         off = np.sqrt((-solved[:, 3] - np.sum(solved[:, :3] ** 2, axis=1)).clip(min=0.0))

@@ -61,8 +61,7 @@ class Plane(Instrument):
         the three rotations, without that about the axis held, tilt the normal best where they tilt it least."""
         best, choice, steps = -1.0, (dict[str, float](), frozenset[str]()), 1e-5 * np.eye(3)  # [rad]
         for angle, held in product(np.arange(0.0, np.pi, np.pi / 6.0), range(3)):
-            spun = pose(rotation=rotation_about([0.0, 0.0, 1.0], angle)) @ base
-            movement = super().between(first, spun)[0]
+            movement = super().between(first, pose(rotation=rotation_about([0.0, 0.0, 1.0], angle)) @ base)[0]
             turn = np.array([movement[f"w{axis}"] for axis in AXES])
             ends = [[first[2, :3] @ from_angles(turn + s * steps[k]) for s in (1, -1)] for k in {0, 1, 2} - {held}]
             tilt = float(np.linalg.svd([(up - down) / 2e-5 for up, down in ends], compute_uv=False)[-1])

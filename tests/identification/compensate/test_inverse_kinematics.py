@@ -96,8 +96,7 @@ def test_a_target_that_a_link_bars_is_searched_for() -> None:
 
 def scanned(target: np.ndarray, circle: KeepOut) -> float:
     """The largest clearance [mm] of all postures that reach the target, from 7,200 directions of the last link."""
-    last = np.linspace(-np.pi, np.pi, 7200)
-    wrist = complex(*target) - LENGTHS[2] * np.exp(1j * last)
+    wrist = complex(*target) - LENGTHS[2] * np.exp(1j * np.linspace(-np.pi, np.pi, 7200))
     cosine = (np.abs(wrist) ** 2 - LENGTHS[:2] @ LENGTHS[:2]) / (2.0 * LENGTHS[0] * LENGTHS[1])
     wrist, cosine = wrist[np.abs(cosine) <= 1.0], cosine[np.abs(cosine) <= 1.0]
     best = -np.inf

@@ -92,8 +92,7 @@ def test_where_a_payload_hangs_is_said_where_it_follows_from_the_order_of_the_ro
 
 
 def test_a_link_of_another_length_is_implausible() -> None:
-    drawn = Arm((260.0, 180.0, 120.0, 30.0))  # the last link is 100 mm long
-    found = estimate(Model(drawn), data(Model(arm()), plan(30)))
+    found = estimate(Model(Arm((260.0, 180.0, 120.0, 30.0))), data(Model(arm()), plan(30)))  # the last is 100 mm long
     assert found.status is Status.implausible
     assert found.doubts == ("implausible: link 4 of 30 mm comes out 100.7 mm long; another arm, frame or unit?",)
     assert found.to_json()["status"] == "implausible"

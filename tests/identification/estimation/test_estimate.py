@@ -202,8 +202,7 @@ def batch(model: Model, postures: np.ndarray, count: int, spread: float, seed: i
     generator = np.random.default_rng(seed)
     varied = truth(model) * (1.0 + spread * generator.standard_normal((count, len(model.names))))
     varied = np.maximum(varied, [p.lower for p in model.parameters])
-    empty = Measurements(postures, np.zeros((len(postures), 2)))
-    exact = model.position(postures, varied, empty.conditions)
+    exact = model.position(postures, varied, Measurements(postures, np.zeros((len(postures), 2))).conditions)
     return exact + SIGMA * generator.standard_normal(exact.shape)
 
 
@@ -234,8 +233,7 @@ def test_spatial_arms_equal_single_fits(held: bool) -> None:
     model = Model(replace(SIX_AXIS, chain=chain)) if held else minimal(Model(replace(SIX_AXIS, chain=chain)))
     generator = np.random.default_rng(4)
     postures = generator.uniform(SIX_AXIS.lower, SIX_AXIS.upper, (20, 6))
-    varied = 0.3 * generator.standard_normal((30, len(model.names))) / model.scales
-    exact = model.position(postures, varied)
+    exact = model.position(postures, 0.3 * generator.standard_normal((30, len(model.names))) / model.scales)
     positions = exact + 0.05 * generator.standard_normal(exact.shape)
     fits = estimate_batch(model, postures, positions)
     assert fits.converged.all()

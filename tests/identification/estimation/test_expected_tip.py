@@ -124,8 +124,7 @@ def refitted(rows: Measurements, groups: list[list[int]], prior: Prior = NO_PRIO
     """Each group predicted by a fit to the others."""
     squares = []
     for group in groups:
-        others = rows.rows(np.setdiff1d(np.arange(len(rows)), group))
-        fit = estimate(MODEL, others, prior=prior, sigma="given")
+        fit = estimate(MODEL, rows.rows(np.setdiff1d(np.arange(len(rows)), group)), prior=prior, sigma="given")
         there = MODEL.position(rows.postures[group], fit.parameters)
         squares += np.sum((rows.positions[group] - there) ** 2, axis=1).tolist()
     return float(np.sqrt(np.mean(squares)))

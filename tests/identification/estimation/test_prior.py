@@ -130,8 +130,7 @@ def test_noise_is_that_of_the_largest_marginal_likelihood() -> None:
     assert found.sigma == 0.1  # what was given is still said, and that chi2 rejects it
     assert found.p_value is not None
     assert found.p_value < 0.01
-    alone = estimate(MODEL, data, prior=PRIOR, sigma="estimated")
-    assert alone.sigma == pytest.approx(expected, rel=1e-2)
+    assert estimate(MODEL, data, prior=PRIOR, sigma="estimated").sigma == pytest.approx(expected, rel=1e-2)
     quiet, _ = measured(np.random.default_rng(2), 15, 0.01)
     held = estimate(MODEL, quiet, prior=PRIOR)
     assert held.scatter == 0.1  # no less than what is given, and said is how much less the residuals show
@@ -242,8 +241,7 @@ def test_rows_that_stand_for_a_share_of_themselves(rows: int) -> None:
     covariance = columns @ columns.T + 0.7**2 * np.eye(rows - 2)
     expected = np.linalg.slogdet(covariance)[1] + left @ np.linalg.solve(covariance, left)
     expected += (spare - (rows - 2)) * 2.0 * np.log(0.7)
-    found = likeliest_noise(left, columns, spare, 0.7, 0.7)
-    assert found[0] == pytest.approx(expected, rel=1e-10)
+    assert likeliest_noise(left, columns, spare, 0.7, 0.7)[0] == pytest.approx(expected, rel=1e-10)
 
 
 # -- prior against data ------------------------------------------------------------------------------------------------

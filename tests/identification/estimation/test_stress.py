@@ -68,8 +68,7 @@ def test_a_fit_is_the_maximum_of_the_likelihood_or_says_why_not(
         uncertain = np.max(deviations * max(sigma, rounding) / lengths)
         assert uncertain > 1e-2 or lengths.min() < 1e-7 * lengths.sum()
         return
-    wrong = (found.parameters - expected) / found.std
-    assert np.max(np.abs(wrong)) <= DIGITS + rounding / sigma
+    assert np.max(np.abs((found.parameters - expected) / found.std)) <= DIGITS + rounding / sigma
 
 
 @given(n=st.integers(1, 6), seed=st.integers(0, 2**32), scale=st.sampled_from([2.0**-20, 2.0**20]))

@@ -75,8 +75,7 @@ def test_reflectors_of_one_posture_count_as_what_they_show_together() -> None:
 def test_what_is_relied_upon(factor: float, rows: int, kind: str, said: bool) -> None:
     model, measurements = Model(arm(sigma=factor * SIGMA)), data(Model(arm()), plan(rows))
     found, free, given = (estimate(model, measurements, sigma=sigma) for sigma in (None, "estimated", "given"))
-    kinds = (found.uncertainty.kind, free.uncertainty.kind, given.uncertainty.kind)
-    assert kinds == (kind, "scatter", "given")
+    assert (found.uncertainty.kind, free.uncertainty.kind, given.uncertainty.kind) == (kind, "scatter", "given")
     assert (found.misfit is not None) is (given.misfit is not None and "too narrow" in given.misfit) is said
     assert free.misfit is None
     assert found.warnings[: int(said)] == ((found.misfit,) if said else ())
@@ -151,8 +150,7 @@ def test_rows_that_are_correlated_in_time_are_taken_in_stretches() -> None:
 def test_white_noise_is_seldom_taken_for_correlated() -> None:
     rng, columns = np.random.default_rng(11), np.column_stack([np.ones(60), np.linspace(-1.0, 1.0, 60)])
     sets = (fitted(columns, rng.standard_normal(60)) for _ in range(400))
-    taken = [rows.correlated > 1 for rows, _ in sets]
-    assert np.mean(taken) < 0.03
+    assert np.mean([rows.correlated > 1 for rows, _ in sets]) < 0.03
 
 
 def test_lack_of_fit_is_the_f_test_of_the_analysis_of_variance() -> None:

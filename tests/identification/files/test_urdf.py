@@ -58,8 +58,7 @@ def test_angles_are_the_nearest_to_those_drawn(tmp_path: Path, drawn: tuple[floa
     for more in (0.0, 1e-3):
         origins[1] = origins[1] @ pose(rotation=from_roll_pitch_yaw(more, 0.0, 0.0))
         (found,) = re.findall(number, urdf.with_origins(*ENDS, origins), flags=re.DOTALL)
-        written = np.array(found[1].split(), dtype=float)
-        np.testing.assert_allclose(written, drawn, rtol=0, atol=more + 1e-9)
+        np.testing.assert_allclose(np.array(found[1].split(), dtype=float), drawn, rtol=0, atol=more + 1e-9)
 
 
 def test_blank_lines_and_comments_stay(tmp_path: Path) -> None:

@@ -48,8 +48,7 @@ def test_good_data_have_no_problem() -> None:
 @pytest.mark.parametrize("unit", [np.radians(1.0), 1.0])
 def test_repeats_scatter_in_millimetres_or_are_not_said(unit: float) -> None:
     """Noise of 0.05 mm per coordinate is 0.07 mm at a point; what is in other units, or too few rows, say nothing."""
-    whole = data()
-    rows = whole.rows(np.tile(np.arange(10), 4))
+    rows = data().rows(np.tile(np.arange(10), 4))
     z = 0.05 * np.random.default_rng(5).standard_normal(rows.positions.shape)
     found = inspect(ARM, replace(rows, postures=unit * rows.postures, positions=rows.positions + z)).to_json()
     assert found["repeats_mm"] == (pytest.approx(0.05 * np.sqrt(2.0), rel=0.25) if unit == 1.0 else None)

@@ -48,8 +48,7 @@ def test_bases_of_later_planes(normal: list[float]) -> None:
     base = pose([1.0, 2.0, 300.0], np.array([across[0], np.cross(normal, across[0]), normal]))
     found, hidden = Plane().between(first, base)
     turn = [found[f"w{axis}"] for axis in AXES]
-    there = first[:3, :3] @ from_angles(turn)
-    np.testing.assert_allclose(there[2], normal, atol=1e-12)
+    np.testing.assert_allclose((first[:3, :3] @ from_angles(turn))[2], normal, atol=1e-12)
     assert 30.0 + found["z"] == pytest.approx(300.0)
     assert {"x", "y"} < hidden
     assert len(hidden) == 3
@@ -152,8 +151,7 @@ def data(count: int, noise: float, seed: int, turn: float = 0.0) -> Measurements
     tips = np.exp(1j * np.cumsum(q + OFFSETS, axis=1)) @ (LENGTHS + ERRORS)
     read = np.abs(tips - CENTERS[number]) + noise * generator.standard_normal(count)
     q[:, 0] += turn
-    label = np.array(["left", "right"])[number]
-    return Measurements(q, read[:, None], session=label)
+    return Measurements(q, read[:, None], session=np.array(["left", "right"])[number])
 
 
 def fitted(rows: Measurements) -> Identification:

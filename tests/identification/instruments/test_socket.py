@@ -161,8 +161,7 @@ def test_rough_rows_leave_the_arm_about_as_drawn() -> None:
 
 def test_a_row_beside_its_cup_is_named_before_the_zeros_that_a_fit_makes_of_it() -> None:
     generator = np.random.default_rng(0)
-    bar = {"A": CUPS["A"], "B": [450.0, -150.0, 100.0]}
-    data = rows(Exponentials(generator), bar, 15, NOISE, generator)
+    data = rows(Exponentials(generator), {"A": CUPS["A"], "B": [450.0, -150.0, 100.0]}, 15, NOISE, generator)
     postures = data.postures.copy()
     postures[7] += 0.3 * generator.normal(size=postures.shape[1])
     arm = Arm(replace(drawing(), instrument=Socket(distances=(("A", "B", 50.0),))), sigma=NOISE)

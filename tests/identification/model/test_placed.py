@@ -24,8 +24,7 @@ TRUE = replace(CHAIN, base=BASE, tools=TOOLS)
 
 def measured(chain: KinematicChain, rows: int = 60) -> Measurements:
     """Exact positions of both points in turn."""
-    generator = np.random.default_rng(4)
-    postures = generator.uniform(-2.5, 2.5, (rows, 6))
+    postures = np.random.default_rng(4).uniform(-2.5, 2.5, (rows, 6))
     names = np.array(list(TOOLS))[np.arange(rows) % 2]
     data = Measurements(postures, np.zeros((rows, 3)), marker=names)
     return replace(data, positions=Model(Arm(chain)).position(postures, conditions=data.conditions))
@@ -103,8 +102,7 @@ def test_as_many_as_can_be_told_apart(chain: KinematicChain, count: int | None) 
     """The rank of all parameters' Jacobian, by singular values, is that of the minimal set; nothing is lost."""
     model = Model(Arm(chain))
     found = minimal(model)
-    generator = np.random.default_rng(5)
-    postures = generator.uniform(model.arm.lower, model.arm.upper, (200, len(chain)))
+    postures = np.random.default_rng(5).uniform(model.arm.lower, model.arm.upper, (200, len(chain)))
     marker = Conditions(marker=np.arange(200.0) % len(chain.tools))
     everything, kept = (
         (m.jacobian(postures, None, marker) / m.scales).reshape(-1, len(m.names)) for m in (model, found)
