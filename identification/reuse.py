@@ -22,7 +22,7 @@ from identification.kinematics.counting import TURN, joint_range, range_of
 from identification.kinematics.parameters import EFFECT, JOINT_OFFSET, LENGTH_ERROR, REVOLUTE
 from identification.measurements import MOST, ROW_DIGESTS, Measurements, digests_in, digests_text
 from identification.model import Model
-from identification.model.placed import with_markers, without_prior_effects
+from identification.model.placed import with_all_markers, without_prior_effects
 
 # word -> kinds of parameters
 KINDS: Mapping[str, tuple[str, ...]] = {
@@ -39,20 +39,24 @@ def only(arm: Arm, words: Sequence[str], measurements: Measurements | None = Non
     """The model of an arm of which only these parameters are estimated; the others stay at the arm's best known values.
 
     words : kinds (`KINDS`), effects (`backlash`, `backlash:2`) or parameters (`joint_offset:2`). `base` of a planar arm
-        is its shift and the offset of joint 1; bases of further sessions are always estimated
+        is its shift and the offset of joint 1; bases of further sessions are always estimated, points that the rows do
+        not measure never
 
     Raises `InputError` for words that name no parameter of the arm, and for a base or a measured point that is to be
     held and that nothing says.
     """
     if "base" in words:
         arm = arm.with_base()
+    seen: Sequence[str] = ()
     if measurements is not None:
-        arm = replace(arm, chain=with_markers(arm.chain, measurements))
+        arm = with_all_markers(arm, measurements)
+        seen = () if arm.chain.instrument.own_targets else measurements.marker_names
+    unseen = tuple(f"{TOOL}[{name}]." for name in arm.chain.tools if seen and name not in seen)
     model = Model(arm)
     effects, available, chosen = {effect.key: effect for effect in model.effects}, {*model.names}, set[str]()
     for word in words:
         if word in KINDS:
-            named = {p.name for p in model.parameters if p.kind in KINDS[word]}
+            named = {p.name for p in model.parameters if p.kind in KINDS[word] and not p.name.startswith(unseen)}
             named |= {*arm.chain.standing} if word == "base" else set()
         else:
             named = {name for name in available if name == word or name.rpartition(".")[0].partition(":")[0] == word}
@@ -65,16 +69,18 @@ def only(arm: Arm, words: Sequence[str], measurements: Measurements | None = Non
         chosen |= named & available
     chosen |= {name for name in model.names if name.startswith(f"{SESSIONS}.")}
     held = {name: value for name, value in model.best_known.items() if name not in chosen}
-    frozen, kept = set(held) - set(model.fixed), arm.calibration
-    several = measurements is not None and len(measurements.session_names) > 1
-    for kind, missing, further in (
-        (BASE, kept is None or kept.base is None, arm.chain.standing),
-        (TOOL, kept is None or not kept.tools, ()),
+    kept, several = arm.calibration, measurements is not None and len(measurements.session_names) > 1
+    frozen = {name for name in held if name not in model.fixed and not name.startswith(unseen)}
+    known = () if kept is None else kept.tools
+    lost = [n for n in arm.chain.tools if n not in known and any(p.startswith(f"{TOOL}[{n}].") for p in frozen)]
+    for kind, missing, further, what in (
+        (BASE, kept is None or kept.base is None, arm.chain.standing, BASE),
+        (TOOL, lost, (), f"{TOOL} {', '.join(lost)}" if known and lost else TOOL),
     ):
         to_hold = frozen.intersection([*further, *(p.name for p in model.parameters if p.kind == kind)])
         if to_hold and (several or (missing and kind not in arm.chain.settled)):
             reason = "the data have several sessions" if several else "the arm file does not say where it is"
-            raise InputError(f"only: {kind} is to be held, but {reason}, allowed: --only with {kind} among the words")
+            raise InputError(f"only: {what} is to be held, but {reason}, allowed: --only with {kind} among the words")
     return replace(model, held=held)
 
 
@@ -182,8 +188,7 @@ def with_base_doubt(held: Identification, arm: Arm, words: Sequence[str], measur
         again = f"{', '.join(once)}: held, and so assumed to happen again from the first of these rows to the last"
         held = replace(held, doubts=(*held.doubts, f"{again}; estimate it, too: --only {','.join([*once, *words])}"))
     try:
-        model = only(arm, ["base", *words], measurements)
-        free = estimate(model, measurements) if "base" not in words else held
+        free = estimate(only(arm, ["base", *words], measurements), measurements) if "base" not in words else held
     except InputError:  # the base is given, or too few rows
         return held
     left, left_free = (float(np.sum(fit.residuals_after**2)) for fit in (held, free))

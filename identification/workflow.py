@@ -271,8 +271,7 @@ def simulate_files(arm: Path, plan: Path, *, truth: Path, out: Written, force: b
     if sigma is None:
         raise InputError(f"{arm}: measurement.sigma_mm is missing, allowed: a number > 0 [mm], here or in {truth}")
     calibrated = {} if true_arm.calibration is None else true_arm.calibration.effects
-    built = build_all(true_arm.effects, true_arm.chain)
-    for effect, spec in zip(built, true_arm.effects, strict=True):
+    for effect, spec in zip(build_all(true_arm.effects, true_arm.chain), true_arm.effects, strict=True):
         if not effect.scatter and not any(p.short in spec.values or p.name in calibrated for p in effect.parameters):
             keys = ", ".join(p.toml_key for p in effect.parameters)
             warnings.warn(f"{truth}: {effect.key} has no value and does nothing; it has {keys}", stacklevel=2)
@@ -328,7 +327,7 @@ def identify_files(
     from identification.gap.library_prior import library_prior
     from identification.measurements import rms_distance
     from identification.model import Model
-    from identification.model.placed import with_sessions, without_prior_effects, without_sessions
+    from identification.model.placed import with_all_markers, with_sessions, without_prior_effects, without_sessions
     from identification.simulate import with_servo_errors
     from identification.validate import drawing_residuals, prior_judged
 
@@ -348,6 +347,9 @@ def identify_files(
     if reference is not None and (old or chosen or any(effect.values for effect in loaded.effects)):
         # where something is held, temperatures count from those that it was found at
         measurements = replace(measurements, reference=float(reference))
+
+    if chosen:
+        loaded = with_all_markers(loaded, measurements)
 
     # with the library's prior, as the options, the plan or an earlier fit say
     meant, how = f"{data} says # fit: {measurements.fit}", "with the prior of the library, as the plan was designed"
@@ -436,6 +438,9 @@ def identify_files(
         calibration = without_sessions(fitted.calibration().about(set(fitted.names) - hidden))
         for before in (bare.calibration if fitted.held else None, None if old is None else old.calibration):
             calibration = reuse.with_data_of(calibration, before, bare.joint_types)
+        if chosen and loaded.calibration is not None:  # of several points the first is that of commands
+            order, tools = (*loaded.calibration.tools, *calibration.tools), calibration.tools
+            calibration = replace(calibration, tools={name: tools[name] for name in order if name in tools})
         specs = [spec for spec in fitted.model.arm.effects if spec.name != SESSIONS]
         files |= arm_files(arm, specs, calibration, out, "calibrated arm")
     if urdf is not None:

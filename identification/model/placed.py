@@ -57,7 +57,9 @@ def placed_model(model: Model, measurements: Measurements) -> Model:
     if BASE not in settled:
         chain = replace(chain, base=standing.base)
     if TOOL not in settled:
-        chain = replace(chain, tools=standing.tools)
+        as_known = {*(model.held or ())}
+        found = {name: at for name, at in standing.tools.items() if as_known.isdisjoint(error_names(f"{TOOL}[{name}]"))}
+        chain = replace(chain, tools={**chain.tools, **found})
     if isinstance(chain.instrument, AtTargets):
         frames = standing.tip_frames(measurements.postures, geometry) @ next(iter(standing.tools.values()))
         numbers = np.stack([measurements.numbers(name) for name in ("session", "marker")], axis=1)
@@ -235,6 +237,18 @@ def with_markers(chain: KinematicChain, measurements: Measurements) -> Kinematic
     return replace(chain, tools={name: tools[name] for name in dict.fromkeys((*names, *tools))})
 
 
+def with_all_markers(arm: Arm, measurements: Measurements) -> Arm:
+    """The arm `with_markers`, and behind them, where they are, the measured points that the data do not name."""
+    if (calibration := arm.calibration) is None or not calibration.tools:
+        return replace(arm, chain=with_markers(arm.chain, measurements))
+    tools = arm.chain.standing_in(calibration.values).tools
+    chain = with_markers(replace(arm.chain, tools=tools), measurements)
+    renamed = len(tools) == 1 == len(chain.tools)
+    known = chain.tools if renamed else {name: tools[name] for name in calibration.tools}
+    calibration = replace(calibration, values=_without(calibration.values, (TOOL,)), tools=known)
+    return replace(arm, chain=replace(chain, tools={**chain.tools, **known}), calibration=calibration)
+
+
 # -- positions where something else is read ----------------------------------------------------------------------------
 def _as_tracker(arm: Arm) -> Arm:
     """The arm as if positions were read in the frame of its instrument, without effects of that."""
@@ -308,8 +322,7 @@ def led_to_contact(model: Model, postures: Array, goals: Array, units: Array, ta
         sizes = np.einsum("mdd->m", across)[:, None, None]
         # slopes below this share of the largest go nowhere
         across = across + (1e-12 * sizes + 1e-300) * np.eye(across.shape[-1])
-        gaps = goals - reading[..., 0]
-        steps = (np.swapaxes(slopes, 1, 2) @ np.linalg.solve(across, gaps[..., None]))[..., 0]
+        steps = (np.swapaxes(slopes, 1, 2) @ np.linalg.solve(across, (goals - reading[..., 0])[..., None]))[..., 0]
         # at most 0.5 rad at a time, of a prismatic joint that share of its range / (2 pi)
         q = q + steps / np.maximum(np.linalg.norm(steps, axis=1, keepdims=True) / 0.5, 1.0) * units
     return q

@@ -198,6 +198,27 @@ def test_validate_where_the_arm_stands_elsewhere(spatial: Folder) -> None:
     assert spatial.said("validate calibrated.toml data.csv --refit none")["rms_mm"] < 0.05
 
 
+@pytest.mark.parametrize("name", ["top", "side"])
+def test_a_reflector_that_is_not_measured_again_stays(spatial: Folder, name: str) -> None:
+    """Where it is, what it may be off by, and which of them commands are of; a new one is not held where nothing is."""
+    spatial.said(IDENTIFY)
+    header, *rows = spatial.read("data.csv").splitlines()
+    some = "\n".join([header, *(row for row in rows if f",{name}" in row)])
+    for file, text in (("again.csv", some), ("new.csv", some.replace(f",{name}", ",new"))):
+        spatial.write(file, f"{text}\n")
+    spatial.refused("identify calibrated.toml new.csv --only joint_offset:3,base", "tool new", "with tool")
+    for file, words in (("again.csv", "tool"), ("new.csv", "tool"), ("new.csv", "tool[new]")):
+        fit = f"identify calibrated.toml {file} --only joint_offset:3,base,{words} --out out.toml --force"
+        found = {row["name"] for row in spatial.said(fit)["parameters"]}
+        measured = file.removesuffix(".csv").replace("again", name)
+        assert {each.split(".")[0] for each in found} == {"joint_offset:3", "base", f"tool[{measured}]"}
+        before, after = (load_arm(spatial.path / f"{one}.toml").calibration for one in ("calibrated", "out"))
+        assert [*after.tools][:2] == [*before.tools] == ["top", "side"]
+        for other in {"top", "side"} - {measured}:
+            np.testing.assert_allclose(after.tools[other], before.tools[other], atol=1e-9)
+            assert f"tool[{other}].x" in after.parameter_names
+
+
 def test_a_drawing_in_denavit_hartenberg_numbers_gets_them_corrected(folder: Folder) -> None:
     """Of a real robot: 18 numbers beside base and tool, in 80 columns, the same in JSON."""
     rows = (DATA / "ur10/series_C.csv").read_text().splitlines()

@@ -52,8 +52,7 @@ def test_what_is_held_may_be_off() -> None:
     before = Calibration({**FIXED.values, "length_error:1": 0.4}, ("length_error:1",), np.array([[0.09]]))
     found = estimate(only(replace(ARM, calibration=before), ["length_error:2", "length_error:3"]), data, sigma="given")
     whole, design = with_held(found, before, data), columns(data.postures)
-    moved = -np.linalg.pinv(design[:, 1:]) @ design[:, 0]
-    spread = np.r_[1.0, moved]
+    spread = np.r_[1.0, -np.linalg.pinv(design[:, 1:]) @ design[:, 0]]
     expected = 0.09 * np.outer(spread, spread)
     expected[1:, 1:] += SIGMA**2 * np.linalg.inv(design[:, 1:].T @ design[:, 1:])
     assert whole.names == ("length_error:1", "length_error:2", "length_error:3")
@@ -103,8 +102,7 @@ def test_what_happened_once_is_no_prior_and_is_not_held_in_silence() -> None:
     assert found.contradiction is None
     assert found.values["base_drift.vx"] == pytest.approx(0.0, abs=0.3)
     for rows, others in ((first, False), (second, True)):
-        held = estimate(only(calibrated, ["base"]), rows)
-        said = with_base_doubt(held, calibrated, ["base"], rows).doubts
+        said = with_base_doubt(estimate(only(calibrated, ["base"]), rows), calibrated, ["base"], rows).doubts
         assert any(one.endswith("estimate it, too: --only base_drift,base") for one in said) is others
 
 
