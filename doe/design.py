@@ -326,8 +326,7 @@ def score_plan(problem: DesignProblem, plan: Plan | ArrayLike, *, seconds: float
         return design
     end, postures = np.inf if seconds is None else perf_counter() + seconds, design.plan.postures
     bound = best_known_bound(problem, len(postures), lambda: perf_counter() > end)
-    held = bound_that_holds(problem, bound, postures, design.value, lambda: perf_counter() > end)
-    return replace(design, bound=held)
+    return replace(design, bound=bound_that_holds(problem, bound, postures, design.value, lambda: perf_counter() > end))
 
 
 def _number(value: float | None) -> float | None:

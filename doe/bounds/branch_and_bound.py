@@ -144,8 +144,7 @@ class TrigonometricPolynomial:
 
 def highest_cosine(phase: Array, reach: Array) -> Array:
     """max cos over [phase - reach, phase + reach]: at the distance to the nearest multiple of 2 pi."""
-    distance = np.abs(np.remainder(phase + np.pi, 2.0 * np.pi) - np.pi)
-    return np.cos(np.maximum(distance - reach, 0.0))
+    return np.cos(np.maximum(np.abs(np.remainder(phase + np.pi, 2.0 * np.pi) - np.pi) - reach, 0.0))
 
 
 def maximum(

@@ -163,7 +163,7 @@ def design_files(
     """
     from doe.plan.accuracy import tip_beside_random, with_choices
     from doe.plan.moves import drive, with_approach
-    from identification import load_arm
+    from identification import Status, load_arm
 
     require(not (criterion.robust and discriminating), "--discriminating: found with --robust, allowed: one of them")
     loaded = load_arm(arm, package_dir)
@@ -185,7 +185,6 @@ def design_files(
     if criterion.robust and solver in (None, "exchange"):
         problem = with_choices(problem)
     effort: dict[str, Any] = {"solver": solver, "starts": starts, "seconds": seconds, "seed": seed}
-    data = dict[str, Any]()
     if discriminating:
         from doe.discrimination.design import discrimination_design
 
@@ -205,14 +204,12 @@ def design_files(
     except KeyboardInterrupt:  # the plan is there; moves that are not proven by now are named
         driven = drive(*planned, lambda: True)
     design = design.driven(driven)
-    document = design.document()
-    if discriminating:
-        chosen = replace(chosen, design=design)
-        data, document = chosen.to_json(), chosen.document()
-    progress(0, None, "tip error expected of the plan, and of random ones")
-    data["expected_tip"], extra = tip_beside_random(design.problem, design.plan.postures, seed)
-    extra += driven.lines
-    data |= driven.data
+    try:
+        progress(0, None, "tip error expected of the plan, and of random ones")
+        expected, extra = tip_beside_random(design.problem, design.plan.postures, seed)
+    except KeyboardInterrupt:  # the plan is there, too
+        design, expected, extra = replace(design, status=Status.interrupted), None, []
+    shown = replace(chosen, design=design) if discriminating else design
     files: dict[Path | None, tuple[str, Any]] = {out: ("plan", driven.moves.text(design.columns_beside))}
     if picture is not None:
         from doe.report.figures import plan_figure  # matplotlib takes longer to load than a small design
@@ -220,8 +217,9 @@ def design_files(
         files[picture] = "picture", plan_figure(loaded, design.plan.postures)
     first = "--out plan.csv writes this plan; " if out is None else ""
     then = f"; then armcal identify {arm} DATA --{problem.fit} --out calibrated.toml" if problem.fit else ""
-    extra.append(f"Next: {first}measure the tip at these postures, then armcal check {arm} DATA{then}")
-    answer = Answer(design.to_json() | data, document.plus(*extra), files=files)
+    extra += [*driven.lines, f"Next: {first}measure the tip at these postures, then armcal check {arm} DATA{then}"]
+    data = design.to_json() | shown.to_json() | {"expected_tip": expected, **driven.data}
+    answer = Answer(data, shown.document().plus(*extra), files=files)
     return with_collisions(answer, design.problem, design.plan.postures)
 
 

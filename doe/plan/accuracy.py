@@ -81,8 +81,7 @@ class ExpectedDeviations:
 
     def largest(self, unit: str) -> float:
         """Of a length [mm] or an angle [rad] of the arm's geometry; zero where none is estimated."""
-        chosen = [p.unit == unit and not p.of_effect for p in self.parameters]
-        return float(np.max(self.values[chosen], initial=0.0))
+        return float(np.max(self.values[[p.unit == unit and not p.of_effect for p in self.parameters]], initial=0.0))
 
 
 def error_at_poses(problem: DesignProblem, value: float, runs: int) -> float | None:

@@ -184,9 +184,12 @@ def solve(
             status, whole = Status.interrupted, replace(whole, deadline=began)  # the user waits: no time for the bound
         if best is None:
             raise JobError(f"design: no plan that identifies all {p} parameters was found by {chosen.name}")
-        best_bound = best_known_bound(problem, runs, whole.ended) if late else best_bound
-        if bound is None:
-            best_bound = bound_that_holds(problem, best_bound, best, problem.objective(best), whole.ended)
+        try:
+            best_bound = best_known_bound(problem, runs, whole.ended) if late else best_bound
+            if bound is None:
+                best_bound = bound_that_holds(problem, best_bound, best, problem.objective(best), whole.ended)
+        except KeyboardInterrupt:  # the plan is there
+            status, best_bound = Status.interrupted, None
         plan = Plan(best, joint_types=problem.model.joint_types, fit=problem.fit)
         design = Design(problem, plan, best_bound, status, best_name, done, perf_counter() - began)
         if design.certified_optimal and status is not Status.interrupted:  # by a bound that came after the search, say
@@ -199,8 +202,9 @@ def solve(
                 raise JobError(f"design: {some}")
         raise JobError(f"design: no plan that identifies all {p} parameters was found by {design.solver}")
     if not np.isfinite(best_value):
-        apart = f"postures {problem.spacing} apart"
-        raise JobError(f"design: no plan within the constraints and with {apart} was found by {design.solver}")
+        apart = f"postures {problem.spacing} apart was found by {design.solver}"
+        apart += "; armcal design --repeats allows equal ones" * (problem.minimum_distance > 0.0)
+        raise JobError(f"design: no plan within the constraints and with {apart}")
     return design
 
 

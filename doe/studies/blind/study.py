@@ -126,8 +126,7 @@ def examine(key: dict[str, Any], _: np.random.SeedSequence) -> list[Row]:
         }
         for runs in FURTHER_RUNS if key["cell"] == AMBIGUOUS and verdict == "ambiguous" else ():
             best = discriminate(data.arm, diagnosis, runs, seed=number)
-            more = data.further(best.plan.postures, best.directions)
-            again = diagnose(data.arm, more, seed=number)
+            again = diagnose(data.arm, data.further(best.plan.postures, best.directions), seed=number)
             row |= {f"next_{runs}_verdict": again.verdict, f"next_{runs}_named": sorted(again.named.keys)}
         rows.append(row)
     return rows

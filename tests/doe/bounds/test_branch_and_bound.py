@@ -49,8 +49,7 @@ def test_upper_bound_holds_and_is_tight(seed: int, n: int, terms: int) -> None:
 
 def test_waves_of_separate_joints_need_one_box() -> None:
     """Then the termwise bound is exact, flat directions included: the base model at its optimum."""
-    coefficients = np.array([1.0, 2.0j, -0.5, 0.0, 1.0 - 1.0j])
-    polynomial = TrigonometricPolynomial(1.0, np.eye(5, dtype=int), coefficients)
+    polynomial = TrigonometricPolynomial(1.0, np.eye(5, dtype=int), np.array([1.0, 2.0j, -0.5, 0.0, 1.0 - 1.0j]))
     lower, upper = np.full(5, -1.0), np.full(5, 0.6)
     # cos q at 0; -2 sin q at -1; -cos(q)/2 at -1; nothing; sqrt(2) cos(q - pi/4) at 0.6, which is below pi/4
     top = 1.0 + 1.0 + 2.0 * np.sin(1.0) - 0.5 * np.cos(1.0) + 0.0 + np.sqrt(2.0) * np.cos(0.6 - np.pi / 4.0)

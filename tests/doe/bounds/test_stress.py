@@ -60,8 +60,7 @@ def test_weights_are_what_they_say_or_nothing_is_said(n: int, width: float, wild
 @given(n=st.sampled_from([1, 2, 3, 12]), width=WIDTHS, runs=st.integers(1, 40), seed=st.integers(0, 2**32))
 @FEW
 def test_a_plan_is_what_it_says_whatever_the_lengths(n: int, width: float, runs: int, seed: int) -> None:
-    lengths = falling(n, np.random.default_rng(seed))
-    problem = problem_of(lengths, width)
+    problem = problem_of(falling(n, np.random.default_rng(seed)), width)
     try:
         found = solve(problem, runs, seed=seed, starts=1, seconds=2.0)
     except ArmcalError:

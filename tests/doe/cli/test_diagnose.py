@@ -51,8 +51,7 @@ def test_what_is_not_confirmed_is_said_and_not_written(sessions: Folder) -> None
     assert (forced.data["confirmed"], forced.data["confirmation"]["shrinks"]) == (False, False)
     kept = load_arm(sessions.path / "extended.toml").calibration
     assert kept is not None
-    said = [kept.provenance[key] for key in ("confirmed", "verdict", "better_than_geometry")]
-    assert said == [False, "named", False]
+    assert [kept.provenance[key] for key in ("confirmed", "verdict", "better_than_geometry")] == [False, "named", False]
     offered = forced.data["offered"]
     assert offered["better"] is False
     sessions.said("identify arm.toml data.csv --out geometry.toml")

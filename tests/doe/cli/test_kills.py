@@ -19,6 +19,7 @@ from click.testing import CliRunner
 
 from doe.cli import main
 from doe.design import Design
+from doe.plan.accuracy import tip_beside_random
 from doe.plan.moves import route
 from doe.plan.spacing import separated
 from identification import Plan
@@ -75,6 +76,9 @@ def test_a_search_that_is_stopped_answers_with_its_best(folder: Folder, monkeypa
     monkeypatch.setattr("doe.plan.moves.route", interrupted(route, 1))  # while it is ordered, too
     assert folder.said("design arm.toml --runs 5 --order travel --out ordered.csv")["travel_deg"]["order"] == "travel"
     assert folder.read("ordered.csv").count("\n") == 6
+    monkeypatch.setattr("doe.plan.accuracy.tip_beside_random", interrupted(tip_beside_random, 1))
+    data = folder.said("design arm.toml --runs 5 --out compared.csv")
+    assert (data["status"], data["expected_tip"], folder.read("compared.csv").count("\n")) == ("interrupted", None, 6)
     monkeypatch.setattr(Design, "document", interrupted(Design.document, 1))
     folder.refused("design arm.toml --runs 5 --solver exchange --out other.csv", "nothing was written", code=1)
     assert not (folder.path / "other.csv").exists()

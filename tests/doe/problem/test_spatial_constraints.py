@@ -103,8 +103,7 @@ def test_distance_of_segments_is_a_bounded_least_squares_problem() -> None:
     ends[3, 10:15], ends[1, 13:18] = ends[2, 10:15], ends[0, 13:18]  # points
     ends[2, 20:25] = 2.0 * (0.3 * ends[0, 20:25] + 0.7 * ends[1, 20:25]) - ends[3, 20:25]  # crossing
     points = [ca.SX.sym(name, 3) for name in "abcd"]
-    distance = ca.Function("distance", points, [_distance(*points)])
-    found = np.asarray(distance(*(end.T for end in ends))).ravel()
+    found = np.asarray(ca.Function("distance", points, [_distance(*points)])(*(end.T for end in ends))).ravel()
     for a, b, c, d, own in zip(*ends, found, strict=True):
         best = lsq_linear(np.column_stack([b - a, c - d]), c - a, (0.0, 1.0), method="bvls", tol=1e-15)
         assert own == pytest.approx(np.sqrt(2.0 * best.cost), abs=1e-5)

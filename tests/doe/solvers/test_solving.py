@@ -5,6 +5,7 @@ from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from importlib.metadata import EntryPoint
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -119,7 +120,7 @@ GIVEN, NEAR = (Bound(complex_log_det(POOR) + above, "continuous") for above in (
     ],
 )
 def test_a_search_that_ends_early_has_the_best_so_far(
-    script: list[Any], options: dict[str, Any], status: Status, starts: int
+    monkeypatch: pytest.MonkeyPatch, script: list[Any], options: dict[str, Any], status: Status, starts: int
 ) -> None:
     design = solve(problem(FOUR), 8, Scripted(script), **options)
     assert (design.status, design.starts) == (status, starts)
@@ -132,6 +133,9 @@ def test_a_search_that_ends_early_has_the_best_so_far(
     bound = solve(many, 12, Scripted([Offer(plan, 1), KeyboardInterrupt()])).bound
     assert bound is not None
     assert bound.cut  # who stops the search does not wait for it
+    monkeypatch.setattr("doe.solvers.solving.best_known_bound", Mock(side_effect=KeyboardInterrupt))
+    design = solve(many, 12, Scripted([Offer(plan, 1)]))  # stopped after the search, there is a plan
+    assert (design.status, design.bound) == (Status.interrupted, None)
     with pytest.raises(KeyboardInterrupt):  # before the first plan there is none
         solve(problem(FOUR), 8, Scripted([KeyboardInterrupt()]))
 
@@ -147,7 +151,7 @@ def test_a_solver_without_a_useful_plan() -> None:
 def test_a_plan_that_breaks_the_minimum_distance_is_no_result() -> None:
     crowded = Scripted([Offer(np.random.default_rng(0).uniform(-0.1, 0.1, (12, 4)), 1)])  # tells all
     apart = replace(problem(FOUR), minimum_distance=2.0)  # just 12 fit into the limits
-    with pytest.raises(JobError, match=r"postures 114.592 deg apart was found by scripted"):
+    with pytest.raises(JobError, match=r"postures 114.592 deg apart was found by scripted; armcal design --repeats"):
         solve(apart, 12, crowded)
 
 

@@ -118,8 +118,7 @@ def test_verb(tmp_path: Path) -> None:
     options = [str(arm), "--runs", "2,3", "--solvers", "analytic", "--repeats", "1", "--out", str(tmp_path / "out")]
     done = CliRunner().invoke(main.commands["compare"], [*options, "--json"])
     assert done.exit_code == 0, done.output
-    answer = json.loads(done.stdout)
-    assert [r["best"] for r in answer["summary"]] == pytest.approx([0.0, 0.0], abs=1e-9)
+    assert [r["best"] for r in json.loads(done.stdout)["summary"]] == pytest.approx([0.0, 0.0], abs=1e-9)
     assert {f.name for f in (tmp_path / "out").iterdir()} == {"rows.parquet", "summary.parquet"}
     assert pl.read_parquet(tmp_path / "out" / "rows.parquet")["runs"].to_list() == [2, 3]
     refused = CliRunner().invoke(main.commands["compare"], options)

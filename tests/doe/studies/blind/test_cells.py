@@ -163,8 +163,7 @@ def test_reads_of_a_posture_share_its_error() -> None:
         means.append(left.mean(axis=1))
         assert data.holdout is not None
         assert len(set(data.holdout.posture_numbers)) == len(data.holdout)
-        fresh = data.holdout
-        scatter = np.mean((fresh.positions - data.exact) ** 2) / data.arm.sigma**2
+        scatter = np.mean((data.holdout.positions - data.exact) ** 2) / data.arm.sigma**2
         assert scatter == pytest.approx(5.0, abs=3.0 * 5.0 * np.sqrt(2.0 / 400))
     count = 2 * 60 * len(NUMBERS)
     assert np.sum(np.square(within)) / (2 * count) == pytest.approx(1.0, abs=3.0 * np.sqrt(2.0 / (2 * count)))
