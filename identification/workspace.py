@@ -22,7 +22,7 @@ CLEARANCE = 20.0  # [mm] usual smallest distance of two bodies: what cables, cov
 
 @dataclass(frozen=True)
 class WorkspaceBox:
-    """The tip stays inside `x`, `y` and, in space, `z` [mm]."""
+    """All measured points stay inside `x`, `y` and, in space, `z` [mm]."""
 
     kind: ClassVar[str] = "workspace_box"
     forbidden: ClassVar[bool] = False

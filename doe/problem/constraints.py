@@ -136,17 +136,17 @@ def within_column(model: Offers, limit: Any, q: ca.SX) -> ca.SX:
 
 
 def inside_box(model: Offers, box: Any, q: ca.SX) -> ca.SX:
-    """(2 d,) The tip stays between the sides, those that the arm file names."""
-    sides = [box.x, box.y, box.z or (-1e6, 1e6)][: model.space]
-    tip = model.symbolic_points(q)[1][0]
-    return ca.vertcat(*(ca.vertcat(tip[k] - low, high - tip[k]) for k, (low, high) in enumerate(sides)))
+    """(2 d k,) The k measured points stay between the sides, those that the arm file names."""
+    low, high = np.transpose([box.x, box.y, box.z or (-1e6, 1e6)][: model.space])
+    return ca.vertcat(*(ca.vertcat(point - low, high - point) for point in model.symbolic_points(q)[1]))
 
 
 def outside_round(model: Offers, region: Any, q: ca.SX) -> ca.SX:
-    """(k - 1,) Every link stays outside the circle of the plane, the sphere of space, or the cylinder with round ends:
-    away from its center, or its axis."""
-    (start, end), (joints, (tip, *_), _) = map(ca.DM, region.axis), model.symbolic_points(q)
-    return ca.vertcat(*(_distance(start, end, *link) - region.radius for link in pairwise([*joints, tip])))
+    """(k,) Every link, the last to each measured point, stays outside the circle of the plane, the sphere of space, or
+    the cylinder with round ends: away from its center, or its axis."""
+    (start, end), (joints, points, _) = map(ca.DM, region.axis), model.symbolic_points(q)
+    links = [*pairwise(joints), *((joints[-1], point) for point in points)]
+    return ca.vertcat(*(_distance(start, end, *link) - region.radius for link in links))
 
 
 def in_view(model: Offers, sight: Any, q: ca.SX) -> ca.SX:

@@ -158,8 +158,7 @@ def test_without_time_equal_weights_prove_a_bound(criterion: Criterion) -> None:
     found, _ = generate_columns(case, prior, POSTURES[:40], [], 1e-9, 1e-9, lambda: True)
     assert sum(found.plan.shares) == pytest.approx(1.0)
     np.testing.assert_allclose(found.information, np.einsum("kda,kdb->ab", *[jacobians[:40]] * 2) / 40.0, atol=1e-12)
-    largest = max(float(np.trace(found.gradient @ b.T @ b)) for b in jacobians)
-    bound = criterion.upper_bound(found.information, largest)
+    bound = criterion.upper_bound(found.information, max(float(np.trace(found.gradient @ b.T @ b)) for b in jacobians))
     mixtures = np.random.default_rng(1).dirichlet(np.full(200, 0.05), 200)
     assert criterion.value(np.einsum("wk,kda,kdb->wab", mixtures, jacobians, jacobians)).max() <= bound
 

@@ -38,8 +38,7 @@ def ambiguous(later: int = 0) -> Diagnosis:
         session = np.where(np.arange(14) < 14 - later, "old", "new")
         positions[session == "new"] += [30.0, -20.0]
         names = {"session": session, "session_names": ("old", "new")} if later else {}
-        data = Measurements(q, positions, **names)
-        found = diagnose(ARM, data)
+        found = diagnose(ARM, Measurements(q, positions, **names))
         if found.verdict == "ambiguous":
             return found
     raise AssertionError("no seed gives an ambiguous case")
@@ -71,8 +70,7 @@ def test_noncentrality_is_the_misfit_of_the_refitted_rival() -> None:
                 first.position(postures[chosen], None, picked) - second.position(postures[chosen], None, picked)
             ).ravel()
             jacobian = second.jacobian(postures[chosen], None, picked).reshape(6, -1) / second.scales
-            scatter = found.sigma**2
-            covariance = scatter * np.eye(6) + jacobian @ scaled @ jacobian.T
+            covariance = found.sigma**2 * np.eye(6) + jacobian @ scaled @ jacobian.T
             expected = delta @ np.linalg.solve(covariance, delta)
             assert settled[i, j] == pytest.approx(expected, rel=1e-6, abs=1e-9)
             # adding posture 7 adds what the list with it has more

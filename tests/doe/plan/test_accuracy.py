@@ -79,8 +79,7 @@ def test_value_of_criterion_i_in_mm() -> None:
 
 def test_weights_share_the_runs_out() -> None:
     plan = np.random.default_rng(1).uniform(FOUR.lower, FOUR.upper, (6, 4))
-    weights = np.array([3, 1, 1, 1, 1, 1]) / 8
-    shared = ExpectedDeviations.of(problem(FOUR), plan, weights)
+    shared = ExpectedDeviations.of(problem(FOUR), plan, np.array([3, 1, 1, 1, 1, 1]) / 8)
     repeated = ExpectedDeviations.of(problem(FOUR), plan[[0, 0, 0, 1, 2, 3, 4, 5]])
     # six runs instead of eight, shared out in the same way
     np.testing.assert_allclose(shared.length, repeated.length * np.sqrt(8 / 6))

@@ -25,8 +25,7 @@ FOURS = list(combinations(range(8), 4))
 def tip(q: Array, x: Array) -> complex:
     """Position, in the order dl, dq, base, eccentricities, gear ratios: written again from the mathematics."""
     angles = q + x[2:4] + x[6:10:2] * np.cos(q) + x[7:10:2] * np.sin(q) + x[10:12] * q
-    orientations = np.cumsum(angles)
-    return complex((LENGTHS + x[:2]) @ np.exp(1j * orientations) + x[4] + 1j * x[5])
+    return complex((LENGTHS + x[:2]) @ np.exp(1j * np.cumsum(angles)) + x[4] + 1j * x[5])
 
 
 def columns(postures: Array) -> Array:

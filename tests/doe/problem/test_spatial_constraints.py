@@ -42,6 +42,15 @@ def test_the_box_is_of_space_whatever_is_read() -> None:
     np.testing.assert_allclose(margins, MADE[0].margin(POSTURES[:50]), atol=1e-9)
 
 
+def test_constraints_hold_for_every_reflector() -> None:
+    """The worst margin of two reflectors is that of an arm with the one or with the other."""
+    tools = {"1": REFLECTOR, "2": np.array([-80.0, 30.0, 150.0])}
+    chains = (replace(CHAIN, tools={name: tools[name] for name in names}) for names in ("1", "2", "12"))
+    for kinds in zip(*(constraints_of(Model(replace(ARM, chain=chain))) for chain in chains), strict=True):
+        one, other, both = (each.margin(POSTURES[:200]).min(axis=1) for each in kinds)
+        np.testing.assert_allclose(both, np.minimum(one, other), rtol=0, atol=1e-8)
+
+
 def test_the_box_has_a_floor_and_a_ceiling() -> None:
     for posture, margin in zip(POSTURES[:50], MADE[0].margin(POSTURES[:50]), strict=True):
         x, y, z = links(posture)[-1][-1]

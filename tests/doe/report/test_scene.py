@@ -74,8 +74,7 @@ def test_triangles_are_read_as_they_were_written() -> None:
     said = shape(triangles, 1000)
     whole, faces = (np.frombuffer(b64decode(said[key]), "<u2").reshape(-1, 3) for key in ("vertices", "faces"))
     corners = (said["low"] + said["step"] * whole)[faces]
-    size = 200.0
-    assert said["step"] == pytest.approx(size / WHOLE, rel=1e-6)
+    assert said["step"] == pytest.approx(200.0 / WHOLE, rel=1e-6)
     middle = np.sort(triangles[np.linalg.norm(np.ptp(triangles, axis=1), axis=1) > 0].mean(axis=1).sum(axis=1))
     assert set(corners.mean(axis=1).sum(axis=1).round(1)) <= {
         x for v in middle for x in (v.round(1), (v + 0.05).round(1), (v - 0.05).round(1))
@@ -207,8 +206,7 @@ def test_a_cell_is_stepped_through_with_keys(opened: Any, address: str) -> None:
     keys.press("End")
     assert "upper arm and table overlap by" in where.inner_text()
     assert seen.facts()["runs with bodies too close"] == "1"
-    near = picture(seen)
-    assert reddish(near) > reddish(first) + 0.003
+    assert reddish(picture(seen)) > reddish(first) + 0.003
     keys.press("Home")
     before = picture(seen)
     assert changed(before, first) == 0.0

@@ -142,8 +142,7 @@ def test_loops_and_slips_by_hand() -> None:
     and nothing outside. Short moves stop short of where they go, long ones slip past."""
     angles = np.array([2.0, 0.7, 0.2, -0.7, 0.2, -2.0, 0.2])
     # thresholds 0.5: up, up (out), up inside, down (out), down inside ..; 1.0: up inside until -2; 1.5 as well
-    expected = np.array([0.0, 2.0, 3.0, 2.0, 1.0, 0.0, -3.0]) / 3.0
-    np.testing.assert_allclose(relays(angles, 0.0, 1.0), expected)
+    np.testing.assert_allclose(relays(angles, 0.0, 1.0), np.array([0.0, 2.0, 3.0, 2.0, 1.0, 0.0, -3.0]) / 3.0)
     q, s = np.array([[0.0], [0.1], [3.1]]), np.ones((3, 1))
     run = RowConditions(q, np.zeros(3), np.zeros(3), s, np.zeros(3), np.zeros(3, dtype=int))
     slip = angle_error(run, "stick_slip", 1, {"b": 2e-3, "width": 1.0}, np.zeros((3, 1)))

@@ -50,8 +50,7 @@ def planar() -> tuple[TrueArm, RowConditions]:
     """Under gravity that is not along an axis, and with another payload in each row."""
     rng = np.random.default_rng(1)
     truth = replace(random_truth(rng, 3), gravity=np.array([1.5, -9.6, 0.0]))
-    run = session(truth, rng.uniform(-np.pi, np.pi, (40, 3)), rng)
-    return truth, replace(run, payload=rng.uniform(0.0, 10.0, 40))
+    return truth, replace(session(truth, rng.uniform(-np.pi, np.pi, (40, 3)), rng), payload=rng.uniform(0.0, 10.0, 40))
 
 
 def agree(truth: TrueArm, run: RowConditions, names: list[str], *known: EffectSpec) -> None:
