@@ -154,9 +154,10 @@ def command(function: Callable[..., Answer], example: str) -> click.Command:
     def allowed(model: Any, postures: Any = None, moves: Any = None) -> tuple[Any, dict[str, Any], list[str]]:
         from doe.plan.moves import said_of_collisions
         from doe.problem.constraints import constraints_of
+        from identification import design_model
 
         kept = constraints_of(model) if model.arm.cell or model.arm.constraints else ()
-        return kept, *said_of_collisions(kept, model.arm.dimension, postures, moves)
+        return kept, *said_of_collisions(kept, design_model(model), postures, moves)
 
     def run(as_json: bool, quiet: bool, seed: int, **values: Any) -> None:
         for group, type_ in groups.items():

@@ -115,7 +115,7 @@ def with_collisions(answer: Answer, problem: DesignProblem, postures: Any = None
     """The answer with what is known of collisions at postures (m, n) and of moves along others, None: it has none."""
     from doe.plan.moves import said_of_collisions
 
-    data, lines = said_of_collisions(problem.constraints, getattr(problem.model, "space", 0), postures, moves)
+    data, lines = said_of_collisions(problem.constraints, problem.model, postures, moves)
     return replace(answer, data=answer.data | data, document=answer.document.plus(*lines))
 
 

@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 from doe.plan.spacing import best_beside
 from doe.problem.clearance import ROUNDING, Clearance
 from doe.problem.constraints import KINDS, Constraint, Walls
-from doe.problem.model import joint_units, turns
+from doe.problem.model import joint_units, offers, turns
 from doe.problem.problem import DesignProblem, Stop, never, random_postures
 from identification import Array, Plan
 from identification.document import count_of
@@ -374,8 +374,7 @@ def unproven(constraints: Sequence[Constraint], postures: Array) -> list[dict[st
 
 def in_sentences(moves: Sequence[Mapping[str, Any]]) -> list[str]:
     """A heading and a line for each of the moves that are `unproven`."""
-    lines = [f"Moves: {len(moves)} may collide on the way:"] if moves else []
-    return lines + [
+    return [f"Moves: {len(moves)} may collide on the way:"] * bool(moves) + [
         f"  to row {each['row']}: {' and '.join(each['bodies'])}, smallest distance {each['distance_mm']:.0f} mm"
         for each in moves
     ]
@@ -388,13 +387,15 @@ def distance_in_words(near: Mapping[str, Any]) -> str:
 
 
 def said_of_collisions(
-    constraints: Sequence[Constraint], dimension: int, postures: Array | None = None, moves: Array | None = None
+    constraints: Sequence[Constraint], model: Any, postures: Array | None = None, moves: Array | None = None
 ) -> tuple[dict[str, Any], list[str]]:
     """Keys `collisions_checked`, of postures (m, n) `collisions`, and of moves along others `moves`; and what to say:
     every pair that is too close, pairs with another clearance, and what is not checked. Nothing of planar arms
-    without bodies;  postures, moves : None: there are none"""
+    without bodies;  model : with `space` and `cell`;  postures, moves : None: there are none"""
     if (clearance := clearance_of(constraints)) is None:
-        return ({"collisions_checked": False}, [COLLISIONS]) if dimension == 3 else ({}, [])
+        floor = offers(model, "cell") and model.cell.floor is not None
+        said = COLLISIONS + " The floor of [cell] was not looked at either." * floor
+        return ({"collisions_checked": False}, [said]) if getattr(model, "space", 0) == 3 else ({}, [])
     data, lines = dict[str, Any](collisions_checked=not (clearance.unseen or clearance.bare)), list[str]()
     usual, blocked = int(np.sum(clearance.asked >= clearance.usual)), list[dict[str, Any]]()
     if postures is not None:

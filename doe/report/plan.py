@@ -31,7 +31,7 @@ def plan_section(
     from doe.report.figures import plan_figure  # deferred: tables need no pictures
 
     problem, postures = DesignProblem.of(arm), plan.measured
-    near = said_of_collisions(problem.constraints, arm.dimension, postures)[1]
+    near = said_of_collisions(problem.constraints, problem.model, postures)[1]
     if plan.weights is None and (moves := unproven(problem.constraints, plan.postures)):
         near.append(f"Moves: {len(moves)} of {len(plan) - 1} may collide on the way; armcal score names them.")
     title = f"The plan {name}".rstrip()

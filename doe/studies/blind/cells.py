@@ -378,8 +378,7 @@ def random_effect(
         name = str(rng.choice(names))
         joints = joints_of(name, truth.n)
         joint = None if joints[0] is None else int(rng.integers(joints[0], joints[0] + len(joints)))
-        drawn = name, joint, directions(truth, name, joint, rng)
-        if (effect := sized(truth, run, drawn, lam, span)) is not None:
+        if (effect := sized(truth, run, (name, joint, directions(truth, name, joint, rng)), lam, span)) is not None:
             return effect
 
 

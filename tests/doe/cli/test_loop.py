@@ -45,8 +45,7 @@ def test_simulate_identify_round(folder: Folder) -> None:
     folder.simulated()
     found = folder.said("identify arm.toml data.csv --out calibrated.toml")
     assert set(found) >= {*KEYS["identify"].split()}
-    truth = [1.5, -0.6, -0.4, 0.7, 0.5, -0.5, 0.7, -0.3]
-    for parameter, true in zip(found["parameters"], truth, strict=True):
+    for parameter, true in zip(found["parameters"], [1.5, -0.6, -0.4, 0.7, 0.5, -0.5, 0.7, -0.3], strict=True):
         assert abs(parameter["value"] - true) < 5 * parameter["std"]  # a 5-sigma event has probability 6e-7
         assert parameter["low_95"] < parameter["value"] < parameter["high_95"]
     again = folder.said("identify calibrated.toml data.csv")

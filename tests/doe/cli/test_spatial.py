@@ -307,6 +307,8 @@ def test_every_plan_in_space_says_that_collisions_were_not_looked_at(spatial: Fo
     with pytest.warns(UserWarning, match="beside the last axis is assumed"):
         problem = DesignProblem.of(Model(load_arm(spatial.path / "arm.toml")))
     assert with_collisions(Answer({}), problem).document.parts == [COLLISIONS]  # what all call
+    spatial.write("floor.toml", spatial.read("arm.toml") + "[cell]\nfloor_z_mm = 0.0\n")
+    assert f"{COLLISIONS} The floor of [cell] was not" in spatial.armcal("check floor.toml plan.csv").flat
     spatial.said("report arm.toml plan.csv --out page.html")
     assert COLLISIONS in spatial.read("page.html")
     spatial.write("planar.toml", PLANAR)

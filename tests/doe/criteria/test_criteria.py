@@ -222,5 +222,4 @@ def test_batches_are_judged_one_by_one() -> None:
     rows[3, 0, 0, 0] = np.nan
     found = log_determinants(np.swapaxes(rows, -1, -2) @ rows)
     assert np.argwhere(~np.isfinite(found)).tolist() == [[1, 2], [3, 0]]
-    each = [[float(log_determinants(r.T @ r)) for r in some] for some in rows]
-    np.testing.assert_allclose(found, each, rtol=1e-12)
+    np.testing.assert_allclose(found, [[float(log_determinants(r.T @ r)) for r in some] for some in rows], rtol=1e-12)

@@ -88,8 +88,7 @@ def seen(posture: Array) -> list[float]:
     found.append(SIGHT.acceptance - np.arccos(-unit @ looks))
     beam = tracker + np.linspace(0.0, 1.0, 401)[:, None] * view
     for points in every[:-1]:
-        apart = np.linalg.norm(points[::8, None] - beam, axis=2).min()
-        found.append(apart - LINK_RADIUS * Model(ARM).reach)
+        found.append(np.linalg.norm(points[::8, None] - beam, axis=2).min() - LINK_RADIUS * Model(ARM).reach)
     return found
 
 
