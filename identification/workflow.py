@@ -267,6 +267,7 @@ def simulate_files(arm: Path, plan: Path, *, truth: Path, out: Written, force: b
         kinds = [f"{a.chain.kind}, {', '.join(a.joint_types)}" for a in (true_arm, loaded)]
         raise InputError(f"{truth}: found an arm that is {kinds[0]}, allowed: {kinds[1]} as in {arm}")
     wanted = Plan.load(plan, loaded.joint_types)
+    require(wanted.weights is None, f"{plan}: found weights, allowed: an exact plan, each row a measurement")
     sigma = true_arm.sigma if true_arm.sigma is not None else loaded.sigma
     if sigma is None:
         raise InputError(f"{arm}: measurement.sigma_mm is missing, allowed: a number > 0 [mm], here or in {truth}")

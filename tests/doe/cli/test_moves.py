@@ -211,6 +211,7 @@ def test_what_the_command_refuses(folder: Folder) -> None:
     folder.refused("program arm.toml plan.csv --robot kuka --out p.src --template mine.j2", "mine.j2: is not UTF-8")
     folder.write("weights.csv", "q1_deg,q2_deg,q3_deg,q4_deg,weight\n0,0,0,0,0.5\n9,9,9,9,0.5\n")
     folder.refused("program arm.toml weights.csv --robot kuka --out p.src", "found weights")
+    folder.refused("simulate arm.toml weights.csv --truth arm.toml --out data.csv", "found weights")
 
 
 def test_a_row_that_breaks_a_constraint_and_a_way_point_that_is_not_seen(folder: Folder) -> None:

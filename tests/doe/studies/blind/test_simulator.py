@@ -229,8 +229,7 @@ def test_effects_outside_the_library() -> None:
         hidden = replace(truth, effects=[(name, joint, values)])
         expected = simulator.position(truth, replace(run, q=moved))
         np.testing.assert_allclose(simulator.position(hidden, run), expected, atol=1e-9)
-    wobbling = replace(truth, effects=[("axis_wobble", joint, {"c": 1e-5})])
-    found = simulator.position(wobbling, run) - here
+    found = simulator.position(replace(truth, effects=[("axis_wobble", joint, {"c": 1e-5})]), run) - here
     for row, posture in enumerate(run.q):
         frame = truth.base
         for j, (a, alpha, d) in enumerate(TABLE[: joint - 1]):
