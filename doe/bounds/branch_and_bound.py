@@ -181,8 +181,7 @@ def maximum(
         center, half = np.concatenate([center[later], halves[0]]), np.concatenate([half[later], halves[1]])
         promise = np.concatenate([promise[later], bound[left], bound[left]])
     top = max(discarded_bound, best, float(promise.max(initial=-np.inf))) + polynomial.margin
-    inside = np.clip(posture, lower, upper)  # the middle and half of a box are rounded
-    return Maximum(best, inside, top, not len(center), boxes)
+    return Maximum(best, np.clip(posture, lower, upper), top, not len(center), boxes)  # boxes are rounded
 
 
 # -- is a sensitivity such a polynomial? -------------------------------------------------------------------------------

@@ -404,10 +404,11 @@ def said_of_collisions(
         runs = np.unique(postures, axis=0, return_index=True)[1] + 1
         first = [each for each in near if each["run"] in runs]
         stay = "pair of bodies stays" if usual == 1 else "pairs of bodies stay"
-        lines = [f"Collisions: {usual} {stay} at least {clearance.usual:g} mm apart at all {len(runs)} postures."]
+        state = f"{usual} {stay} at least {clearance.usual:g} mm apart at all {len(runs)} postures."
         if near:
             those = len({each["run"] for each in first})
-            lines = [f"Collisions: at {those} of {len(runs)} postures bodies are too close to each other:"]
+            state = f"at {those} of {len(runs)} postures bodies are too close to each other:"
+        lines = [f"Collisions (by covers, which stick out somewhat): {state}"] if usual or near else []
         lines += [f"  run {each['run']}: {distance_in_words(each)}" for each in first]
     if moves is not None:
         data["moves"] = {"not_free": (blocked := unproven(constraints, moves))}

@@ -28,8 +28,7 @@ WHOLE = np.iinfo(np.uint16).max  # largest whole number of a vertex
 # -- plans -------------------------------------------------------------------------------------------------------------
 def plan_figure(arm: Arm, postures: Array) -> Figure:
     """The postures of an arm as stick figures, of very many some, and every joint's angles within its limits."""
-    most = min(len(postures), 500)  # more stick figures only cover each other
-    shown = postures[np.linspace(0, len(postures) - 1, most).round().astype(int)]
+    shown = postures[np.linspace(0, len(postures) - 1, min(len(postures), 500)).round().astype(int)]
     count = f"{len(postures)} postures" if len(shown) == len(postures) else f"{len(shown)} of {len(postures)} postures"
     in_space, (up, around) = arm.chain.projection is not None, side(arm)
     views = {"front": (up, around), "aside": (up, around + 90.0)} if in_space else {"front": None}

@@ -212,6 +212,10 @@ class ShapedBodies(ByValue, Sequence[Body]):
                     unit = "millimetres as metres" if long > self.reach else "metres as millimetres"
                     state = f"{long:.4g} mm long beside an arm that reaches {self.reach:.4g} mm, like {unit}"
                     raise InputError(f"{shape.file}: body {name} is {state}, allowed: another unit or scale")
+                if shape.kind == "mesh" and long < 0.02 * self.reach and np.all(np.abs(shape.size) < METER):
+                    # a thousand times as long it would be a body, too
+                    state = f"{shape.file}: body {name} is {long:.4g} mm long; if its numbers are metres, write"
+                    warnings.warn(f'{state} unit = "m", in a URDF file scale="1 1 1"', UserWarning, stacklevel=2)
             if solids:
                 drawn.append(np.concatenate([own @ s.place[:3, :3].T + s.place[:3, 3] for s, own in solids]))
                 size = np.ptp(drawn[-1], axis=(0, 1))

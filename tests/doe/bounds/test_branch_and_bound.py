@@ -82,8 +82,7 @@ def test_bounds_over_boxes(seed: int, n: int) -> None:
     curvature = polynomial.curvature(center, half)[0]
     for point in q[:20]:
         slope = numerical_slope(polynomial, point)
-        steps = [numerical_slope(polynomial, point + 1e-5 * e) - slope for e in np.eye(n)]
-        hessian = np.array(steps) / 1e-5
+        hessian = np.array([numerical_slope(polynomial, point + 1e-5 * e) - slope for e in np.eye(n)]) / 1e-5
         assert np.linalg.eigvalsh(0.5 * (hessian + hessian.T))[-1] <= curvature + 1e-3
 
 

@@ -23,8 +23,7 @@ def complex_log_det(postures: np.ndarray, *, offset: bool = False) -> float:
     columns = np.exp(1j * np.cumsum(postures, axis=1))
     if offset:
         columns = np.hstack([np.ones((len(columns), 1)), columns])
-    gram = columns.conj().T @ columns / len(columns)
-    return 2.0 * float(np.linalg.slogdet(gram)[1])
+    return 2.0 * float(np.linalg.slogdet(columns.conj().T @ columns / len(columns))[1])
 
 
 def factorial(arm: Arm, *, offset: bool) -> np.ndarray:

@@ -237,6 +237,8 @@ def test_a_cell_whose_meshes_are_not_found_bars_nothing() -> None:
     postures = random_postures(problem, 5, np.random.default_rng(0))
     assert [len(clearance.pairs) for clearance in problem.constraints] == [0]
     np.testing.assert_array_equal(put_inside(problem, postures), postures)
+    said = said_of_collisions(problem.constraints, 2, postures)[1]  # of no pairs, nothing
+    assert said == ["Joints whose links have no bodies (not checked): joint 1, joint 2."]
 
 
 def test_what_is_said_of_postures(clearance: Clearance, postures: Array) -> None:
@@ -245,7 +247,8 @@ def test_what_is_said_of_postures(clearance: Clearance, postures: Array) -> None
     said = said_of_collisions([clearance], None, postures)[1]
     near = [line for line in said if line.startswith("  run ")]
     assert len(near) == len(clearance.too_near(postures)) == int(np.sum(margins < -1e-3))
-    assert f"{int(np.any(margins < -1e-3, axis=1).sum())} of {POSTURES} postures" in said[0]
+    those = f"at {int(np.any(margins < -1e-3, axis=1).sum())} of {POSTURES} postures"
+    assert said[0].startswith(f"Collisions (by covers, which stick out somewhat): {those} bodies are too close")
     free = postures[np.all(margins >= 0.0, axis=1)]
     assert clearance.too_near(free) == []
     for q in (free, np.repeat(free, 2, axis=0)):  # repeats are no further postures

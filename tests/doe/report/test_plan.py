@@ -172,8 +172,7 @@ def test_the_bodies_of_a_cell_are_drawn_where_they_are(monkeypatch: pytest.Monke
     frame = design_model(Model(arm)).joint_frames(POSTURES[:1])[0, 2]
     local = (corners - frame[:3, 3]) @ frame[:3, :3]
     axial = np.clip(local[:, 2], start[2], end[2])
-    away = np.linalg.norm(local - axial[:, None] * np.eye(3)[2], axis=1)
-    on_link = np.isclose(away, radius, atol=1.0)
+    on_link = np.isclose(np.linalg.norm(local - axial[:, None] * np.eye(3)[2], axis=1), radius, atol=1.0)
     on_wall = np.isclose(np.abs(corners - [700.0, 0.0, 300.0]), [20.0, 400.0, 300.0], atol=1.0)
     assert (on_link | on_wall.all(axis=1)).all()
     assert on_link.sum() > 100
@@ -202,8 +201,7 @@ def test_a_short_axis_has_few_labels() -> None:
 def test_slides_and_turning_joints_are_drawn_between_their_limits() -> None:
     """A slide of metres beside angles of degrees: each joint on its own scale, which the label says."""
     (first, *others), q = CHAIN.joints, np.array([[1000.0, *np.zeros(5)], [2000.0, *np.full(5, 1.5)]])
-    slide = replace(first, type=PRISMATIC, lower=1000.0, upper=3000.0)
-    arm = Arm(replace(CHAIN, joints=(slide, *others)))
+    arm = Arm(replace(CHAIN, joints=(replace(first, type=PRISMATIC, lower=1000.0, upper=3000.0), *others)))
     axes = next(each for each in plan_figure(arm, q).axes if "limit" in each.get_xlabel())
     assert axes.get_yticklabels()[0].get_text() == "$q_1$, 1000 to 3000 mm"
     shown = np.array([dots.get_offsets()[:, 0] for dots in axes.collections])

@@ -60,8 +60,7 @@ def test_a_body_keeps_its_shape_with_few_triangles() -> None:
     assert 3000 < len(faces) <= 6000
     corners = vertices[faces.astype(int)]
     assert np.abs(np.linalg.norm(corners.mean(axis=1), axis=1) - 1.0).max() < 0.02
-    volume = np.abs(np.linalg.det(corners).sum()) / 6.0
-    assert volume == pytest.approx(4.0 / 3.0 * np.pi, rel=0.01)
+    assert np.abs(np.linalg.det(corners).sum()) / 6.0 == pytest.approx(4.0 / 3.0 * np.pi, rel=0.01)
     cube = round_body(5)
     vertices, faces = simplified(cube, 3000)  # few enough: none is lost but those that are lines
     area = np.linalg.norm(np.cross(cube[:, 1] - cube[:, 0], cube[:, 2] - cube[:, 0]), axis=1)

@@ -107,8 +107,7 @@ def test_solvers_run_in_their_own_processes(tmp_path: Path, request: pytest.Fixt
     request.getfixturevalue("in_this_process")
     with pytest.raises(InputError, match="runs"):
         compare([ARM], [2], ["random"])  # two runs cannot tell six parameters
-    again = run()  # the same seeds: the same plans, wherever they are found
-    assert again["value"].to_list() == rows["value"].to_list()
+    assert run()["value"].to_list() == rows["value"].to_list()  # the same seeds: the same plans
 
 
 @pytest.mark.usefixtures("in_this_process")

@@ -204,6 +204,10 @@ def test_bodies_of_an_arm_in_space(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     pieces = bodies(arm)
     np.testing.assert_allclose(pieces["holder"].triangles[0], [[50, 0, 0], [50, 100, 0], [-100, 0, 0]], atol=1e-4)
     assert (pieces["cylinder 1"].joint, len(pieces["cylinder 1"].boxes) > 1) == (0, True)
+    (tmp_path / "part.stl").write_bytes(binary(2.0 * FACES))  # of a table in metres
+    for unit, large in ((CELL, True), (CELL.replace('unit = "m"\n', ""), False)):
+        (said,) = said_of(arm_of(tmp_path, text=ARM + unit))[1][1:] or [""]
+        assert ("part.stl: body holder is 4 mm long; if its numbers are metres" in said) is not large
     arm = arm_of(tmp_path, text=ARM + CELL.replace('"holder"', '"upper"'))
     with pytest.raises(InputError, match=r"cell.bodies: the name 'upper' is that of a link of .*r.urdf"):
         bodies(arm)
