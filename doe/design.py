@@ -175,9 +175,8 @@ class Design(PlanOfProblem):
     def verdict(self) -> str:
         """How good the plan is, in a sentence or two."""
         runs, bound = count_of(len(self.plan), "run"), self.bound
-        optimal = f", {self.optimality_in_words}" if self.certified_optimal else ""
         least = "at least " if bound is not None and bound.cut else ""  # a search to its end lowers the bound
-        criterion = f"{self.problem.criterion.name}{optimal}"
+        criterion = self.problem.criterion.name + (f", {self.optimality_in_words}" if self.certified_optimal else "")
         if not (error := self.expected_error):
             why = self.no_efficiency
             efficiency = f"no efficiency: {why}" if why else f"an efficiency of {least}{self.efficiency:.4f}"

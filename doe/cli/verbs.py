@@ -533,9 +533,8 @@ def discriminate_files(
     problem = doe.DesignProblem.of(loaded)
     measured = [q for path in data for q in Plan.load(path, loaded.joint_types, carried_out=True).postures.round(3)]
     if (postures := len(set(map(tuple, measured)))) < (fewest := problem.fewest_runs):
-        counted = f"{len(measured)} rows of {count_of(postures, 'posture')}"
         enough = f"at least {fewest} for the arm's own parameters; armcal design --keep {data[-1]} chooses more"
-        raise InputError(f"{data[-1]}: {counted}, allowed: {enough}")
+        raise InputError(f"{data[-1]}: {len(measured)} rows of {count_of(postures, 'posture')}, allowed: {enough}")
     diagnosis = VERBS["diagnose"][0](arm, data, seed=seed, progress=progress).result
     keys = {"verdict": diagnosis.verdict, "candidates": [list(candidate.effects) for candidate in diagnosis.candidates]}
     if diagnosis.verdict != "ambiguous":

@@ -286,8 +286,7 @@ class DesignProblem:
         if not (np.all(np.isfinite(before)) and np.all(np.isfinite(after))):
             wrong = "derivatives by its parameters are not numbers at some postures"
             raise InputError(f"model: {wrong}, allowed: finite ones within the joint limits")
-        changes = np.abs(after - before).max(axis=(1, 2, 3))
-        return tuple(np.flatnonzero(changes > 1e-9 * np.abs(before).max()).tolist())
+        return tuple(np.flatnonzero(np.abs(after - before).max(axis=(1, 2, 3)) > 1e-9 * np.abs(before).max()).tolist())
 
     @cached_property
     def searched_joints(self) -> tuple[int, ...]:

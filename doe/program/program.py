@@ -61,8 +61,7 @@ def program(
     sliding = f"--robot ur: joint {np.argmax(slides) + 1} slides, allowed: joints that turn"
     require(robot != "ur" or not slides.any(), sliding)
     ends = np.where(slides, arm.column_limits, np.degrees(arm.column_limits))  # [deg, mm], NaN where there are none
-    outside = (columns < ends[0] - 1e-4) | (columns > ends[1] + 1e-4)  # by more than rounding of files
-    for row, j in np.argwhere(outside)[:1]:
+    for row, j in np.argwhere((columns < ends[0] - 1e-4) | (columns > ends[1] + 1e-4))[:1]:  # beyond rounding of files
         place = f"row {row + 1}: joint {j + 1} at {columns[row, j]:.7g}"
         raise InputError(f"{place}, allowed: {ends[0, j]:.7g} to {ends[1, j]:.7g}")
     constraints = constraints_of(arm)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
+from matplotlib.collections import PolyCollection
 from matplotlib.colors import LightSource
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
@@ -31,22 +32,22 @@ def plan_figure(arm: Arm, postures: Array) -> Figure:
     shown = postures[np.linspace(0, len(postures) - 1, min(len(postures), 500)).round().astype(int)]
     count = f"{len(postures)} postures" if len(shown) == len(postures) else f"{len(shown)} of {len(postures)} postures"
     in_space, (up, around) = arm.chain.projection is not None, side(arm)
-    views = {"front": (up, around), "aside": (up, around + 90.0)} if in_space else {"front": None}
+    seen = {"projection": arm.chain.projection, "elev": up}
+    views = {"front": seen | {"azim": around}, "aside": seen | {"azim": around + 90.0}} if in_space else {"front": {}}
     # its margins know nothing of labels in space
     layout = ConstrainedLayoutEngine(rect=(0.03, 0.0, 0.94, 1.0), wspace=0.15 if in_space else 0.02)
     figure = Figure(figsize=(10.0, 8.6 if in_space else 4.6), layout=layout)
     axes: Any = figure.subplot_mosaic(
         [["front", "aside"], ["joints", "joints"]] if in_space else [["front", "joints"]],
         height_ratios=[2.6, 1.0] if in_space else None,
-        per_subplot_kw={tuple(views): {"projection": arm.chain.projection}},
+        per_subplot_kw=views,
     )
-    for name, view in views.items():
+    for name in views:
         draw_arm(axes[name], arm, shown)
-        if view is not None:
-            axes[name].view_init(*view)
+        if arm.cell is not None:
+            draw_bodies(axes[name], arm, shown[0])
+        if in_space:
             axes[name].tick_params(labelsize=7)
-            if arm.cell is not None:
-                draw_bodies(axes[name], arm, shown[0])
             # of the arm: a tracker may be far from it
             limits = np.array([axes[name].get_xlim(), axes[name].get_ylim(), axes[name].get_zlim()])
             axes[name].set(xlim=limits[0], ylim=limits[1], zlim=limits[2])
@@ -56,7 +57,7 @@ def plan_figure(arm: Arm, postures: Array) -> Figure:
                 axes[name].locator_params(axis, nbins=max(round(5.0 * size / sizes.max()), 2))
             axes[name].zaxis.labelpad = 2.0
         draw_constraints(axes[name], arm)
-    first = "; bodies as in the first" if in_space and arm.cell is not None else ""
+    first = "; bodies as in the first" * (arm.cell is not None)
     figure.suptitle(f"{count}{', from two sides' * in_space}{first}", fontsize=9)
     joints, types, colors = axes["joints"], arm.joint_types, run_colors(len(postures))
     labels, scale = [f"$q_{j + 1}$" for j in range(arm.links)], "position [mm]" if PRISMATIC in types else "angle [deg]"
@@ -104,8 +105,8 @@ def draw_constraints(axes: Any, arm: Arm) -> None:
 
 
 def draw_bodies(axes: Any, arm: Arm, posture: Array) -> None:
-    """The bodies of a cell with the arm at a posture (n,), lit from the viewer; the edge of the floor, and the lines of
-    sight from trackers."""
+    """The bodies of a cell with the arm at a posture (n,); in space lit from the viewer, with the edge of the floor and
+    the lines of sight from trackers."""
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
     assert arm.cell is not None
@@ -115,6 +116,9 @@ def draw_bodies(axes: Any, arm: Arm, posture: Array) -> None:
         vertices, faces = simplified(body.looks(), DRAWN // len(arm.cell.bodies))
         corners.append((vertices @ frames[body.joint, :3, :3].T + frames[body.joint, :3, 3])[faces.astype(int)])
         colors += [LINK if body.joint else CELL] * len(faces)
+    if axes.name != "3d":
+        axes.add_collection(PolyCollection(np.concatenate(corners)[..., :2], color=colors, zorder=0))
+        return
     if colors:
         light: Any = LightSource(90.0 - axes.azim, axes.elev)
         look = {"facecolors": colors, "edgecolors": colors, "lw": 0.3, "shade": True, "lightsource": light}

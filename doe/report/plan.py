@@ -60,9 +60,8 @@ def plan_steps(
 
     model: Any = problem.model
     runs, cells = plan.measured, plan.cells
-    numbers = len(runs) * model.dimension * problem.parameters
     # more runs than a person steps through, or too many numbers of the Jacobians, some 12 characters each
-    if plan.weights is not None or len(runs) > 200 or numbers > 150_000:
+    if plan.weights is not None or len(runs) > 200 or len(runs) * model.dimension * problem.parameters > 150_000:
         return None
     near: list[list[dict[str, Any]]] = [[] for _ in range(len(runs))]
     clearance = clearance_of(problem.constraints)

@@ -415,8 +415,7 @@ def physics_effect(truth: TrueArm, run: RowConditions, name: str, lam: float, rn
     moves = [lever * torques[:, None]]  # every joint at once
     moves += [step[:, None, None] * np.eye(2) for step in steps]
     for j, q in enumerate(run.q.T):
-        width = truth.upper[j] - truth.lower[j]
-        wound = [simulator.wound_up(q, share * width) for share in (0.05, 0.1, 0.2, 0.4)]
+        wound = [simulator.wound_up(q, share * (truth.upper[j] - truth.lower[j])) for share in (0.05, 0.1, 0.2, 0.4)]
         shapes = [np.column_stack([np.cos(k * q), np.sin(k * q)]) for k in range(1, 65)]
         alone = [q, run.s[:, j], np.sign(torques[:, j]), torques[:, j], *steps, *wound]
         shapes += [shape[:, None] for shape in (*alone, *([run.q[:, j - 1]] if j else []))]

@@ -88,8 +88,7 @@ def test_weights_share_the_runs_out() -> None:
 
 def test_none_where_only_rounding_makes_the_information_regular() -> None:
     # two angles half a turn apart tell an eccentric encoder from a joint offset by rounding only, yet numpy inverts M
-    half_turn = (-1.2, np.pi - 1.2)
-    plan = np.array(list(product((-1.0, 1.0), half_turn, (-1.0, 1.0), (-1.0, 0.5))))
+    plan = np.array(list(product((-1.0, 1.0), (-1.2, np.pi - 1.2), (-1.0, 1.0), (-1.0, 0.5))))
     assert ExpectedDeviations.of(problem(Arm(FOUR.lengths, sigma=0.1), ECCENTRICITY), plan) is None
     assert ExpectedDeviations.of(problem(Arm(FOUR.lengths, sigma=0.1)), plan) is not None
     assert ExpectedDeviations.of(problem(Arm(FOUR.lengths)), fourier(4, 4)) is None  # no sigma

@@ -27,8 +27,7 @@ def test_a_wall_may_be_left_and_reached_again() -> None:
     out = np.arccos(200.0 / 300.0 - 1.0 / 3.0)  # the tip is 300 cos q1 + 200 cos (q1 + q2)
     ends = np.array([[out, -out], [-out, out]])
     folded = np.array([[np.pi / 2, np.pi / 2 - 0.01]])
-    tips = 300.0 * np.cos(ends[:, 0]) + 200.0 * np.cos(ends.sum(axis=1))
-    np.testing.assert_allclose(tips, 300.0)
+    np.testing.assert_allclose(300.0 * np.cos(ends[:, 0]) + 200.0 * np.cos(ends.sum(axis=1)), 300.0)
     assert room.free(ends[:1], folded).all()
     assert not room.free(ends[:1], ends[1:]).any()  # the stretched arm reaches 500 mm
     (move,) = unproven(constraints_of(arm), ends)

@@ -146,8 +146,7 @@ def test_the_bound_of_a_random_list_holds_for_all_postures() -> None:
     assert value < everywhere.value
     # and against another set of postures altogether, a fine grid with its exact bound
     grid = np.stack(np.meshgrid(*np.linspace(ARM.lower, ARM.upper, 25).T), axis=-1).reshape(-1, 2)
-    fine = column_generation(CASE, grid, **effort)
-    assert float(CASE.criterion.value(fine.information)) < everywhere.value
+    assert float(CASE.criterion.value(column_generation(CASE, grid, **effort).information)) < everywhere.value
 
 
 def test_the_workspace_is_on_one_side_of_what_no_move_passes() -> None:

@@ -77,8 +77,7 @@ def test_users_own_expression() -> None:
     """Elbow up, and the tip above the elbow: only what the user said, in a function of CasADi symbols."""
     above = Expression(lambda q: ca.vertcat(ca.sin(q[0]), 180 * ca.sin(q[0] + q[1])), 4, "elbow")
     problem = DesignProblem.of(Model(FOUR), constraints=(above,))
-    design = solve(problem, 6, starts=4, bound=closed_form_bound(problem))
-    q1, q2 = design.plan.postures.T[:2]
+    q1, q2 = solve(problem, 6, starts=4, bound=closed_form_bound(problem)).plan.postures.T[:2]
     assert np.all(np.sin(q1) >= 0)
     assert np.all(np.sin(q1 + q2) >= 0)
     np.testing.assert_allclose(above.margin(POSTURES[:5])[:, 0], np.sin(POSTURES[:5, 0]))

@@ -71,8 +71,7 @@ def shown_at_any_width(seen: Watched) -> None:
             "[document.documentElement.scrollWidth, innerWidth, getComputedStyle(document.body).backgroundColor]"
         )
         assert root[0] <= width == root[1]
-        dark = sum(map(int, root[2].strip("rgb()").split(","))) < 3 * 128
-        assert dark == (scheme == "dark")
+        assert (sum(map(int, root[2].strip("rgb()").split(","))) < 3 * 128) == (scheme == "dark")
     assert len(seen.page.pdf()) > 10_000
 
 

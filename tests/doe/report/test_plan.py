@@ -189,6 +189,13 @@ def test_a_floor_without_bodies_is_drawn() -> None:
     assert scene(design_model(Model(arm)), POSTURES[:2], {})["bodies"] == []
 
 
+def test_bodies_of_the_plane_are_drawn_below_the_postures() -> None:
+    wall = Body("wall", 0, boxes=np.array([[500.0, 90.0, 0.0, *np.eye(3).ravel(), 20.0, 40.0, 5.0]]))
+    axes = plan_figure(replace(ARM, cell=Cell((wall,))), np.zeros((2, ARM.links))).axes[0]
+    (drawn,) = (np.concatenate([path.vertices for path in each.get_paths()]) for each in axes.collections)
+    np.testing.assert_allclose([drawn.min(axis=0), drawn.max(axis=0)], [[480.0, 50.0], [520.0, 130.0]], atol=1.0)
+
+
 def test_a_short_axis_has_few_labels() -> None:
     """Those of a SCARA's heights, of which five overlapped."""
     table = [DHRow(325.0, 0.0, 300.0), DHRow(275.0, np.pi, 0.0), DHRow(0.0, 0.0, 20.0)]

@@ -39,8 +39,7 @@ def test_finds_the_best_of_all_grid_plans() -> None:
     postures = np.array([[0.0, a, b] for a in levels[1] for b in levels[2]])
     every = np.array(list(combinations_with_replacement(range(25), 4)))
     jacobians = case.scaled_jacobians(postures)
-    products = np.swapaxes(jacobians, -1, -2) @ jacobians
-    best = np.linalg.slogdet(products[every].sum(axis=1) / 4)[1].max()
+    best = np.linalg.slogdet((np.swapaxes(jacobians, -1, -2) @ jacobians)[every].sum(axis=1) / 4)[1].max()
     assert solve(case, 4, Exchange(levels=5, climb=False), starts=100).value == pytest.approx(best, abs=1e-12)
 
 
@@ -62,8 +61,7 @@ def test_best_of_all_subsets(runs: int, kept: int) -> None:
     jacobians = case.scaled_jacobians(LIST)
     products = np.swapaxes(jacobians, -1, -2) @ jacobians
     every = np.array(list(combinations(range(18), runs)))
-    information = (products[every].sum(axis=1) + products[:kept].sum(axis=0)) / (runs + kept)
-    values = np.linalg.slogdet(information)[1]
+    values = np.linalg.slogdet((products[every].sum(axis=1) + products[:kept].sum(axis=0)) / (runs + kept))[1]
     design = solve(case, runs)
     assert design.value == pytest.approx(values.max(), abs=1e-12)
     assert sorted(map(tuple, design.plan.postures)) == sorted(map(tuple, LIST[every[values.argmax()]]))

@@ -27,8 +27,7 @@ def test_ends_are_stationary_within_the_limits() -> None:
         assert np.all(plan >= case.lower)
         assert np.all(plan <= case.upper)
         slope = climb.ascent.rise(plan)[1]
-        inside = (plan > case.lower)[:, joints] & (plan < case.upper)[:, joints]
-        assert np.abs(slope[inside]).max() < 1e-6
+        assert np.abs(slope[(plan > case.lower)[:, joints] & (plan < case.upper)[:, joints]]).max() < 1e-6
         assert np.all(slope[plan[:, joints] == case.lower[joints]] < 1e-6)  # nothing to gain by moving in
         assert np.all(slope[plan[:, joints] == case.upper[joints]] > -1e-6)
 
