@@ -45,8 +45,7 @@ def capsules_around(triangles: Array, most: int = 8) -> Array:
             halves = [part[along < 0.0], part[along >= 0.0]]
             parts += halves if min(map(len, halves)) else [part, part]
         found.append(fitted(np.array([like(part) for part in parts]), surface, around, 3.0, 100.0))
-        tight = -from_capsules(found[-1][1], around)[0].min(initial=0.0) < max(0.3 * cell, 3.0)
-        if tight or many == most:
+        if -from_capsules(found[-1][1], around)[0].min(initial=0.0) < max(0.3 * cell, 3.0) or many == most:
             break
     best = min(value for value, _ in found)
     capsules = next(each for value, each in found if value <= 1.35 * best)  # fewer, if they are nearly as good

@@ -75,9 +75,8 @@ class Sheet:
             )
         for row in rows:
             table.add_row(*map(to_the_letter, row))
-        free = options.update(max_width=10_000)
         for table.padding in ((0, 0, 0, 1), 0) if self.headings else ():
-            if Measurement.get(console, free, table).maximum <= options.max_width:
+            if Measurement.get(console, options.update(max_width=10_000), table).maximum <= options.max_width:
                 break
         else:
             for column in table.columns:
@@ -282,8 +281,7 @@ def unit_or_dash(unit: str) -> str:
 
 def as_sentence(clause: str) -> str:
     """With a full stop, and a capital unless it begins with a name such as `base_drift`."""
-    first = clause[:1] if "_" in clause.split(" ", 1)[0] else clause[:1].upper()
-    return f"{first}{clause[1:].rstrip('.')}."
+    return f"{clause[:1] if '_' in clause.split(' ', 1)[0] else clause[:1].upper()}{clause[1:].rstrip('.')}."
 
 
 def of_joints(joints: Sequence[int]) -> str:

@@ -41,8 +41,7 @@ class InputError(ArmcalError):
         try:
             yield
         except cls as error:
-            placed = str(error).startswith((f"{place}: ", *others))
-            raise cls(str(error) if placed else f"{place}: {error}") from None
+            raise cls(str(error) if str(error).startswith((f"{place}: ", *others)) else f"{place}: {error}") from None
 
 
 class JobError(ArmcalError):

@@ -217,8 +217,7 @@ class ArmModel(Model):
             return positions, None
         place = [self.names.index(name) for name in calibration.parameter_names]
         columns = jacobian[..., place] * quantile_95(calibration.freedom)
-        squares = np.einsum("mdp,pq,mdq->md", columns, calibration.covariance, columns, optimize=True)
-        return positions, np.sqrt(squares)
+        return positions, np.sqrt(np.einsum("mdp,pq,mdq->md", columns, calibration.covariance, columns, optimize=True))
 
     # -- what may be missing ---------------------------------------------------------------------------------------
     def missing_effects(self, names: Sequence[str] | None, fastest: float) -> LibraryPrior:

@@ -157,8 +157,7 @@ def describe(direction: Array, names: Sequence[str]) -> str:
     coefficients[-1] *= -1.0 if shown.size > 1 else 1.0
     coefficients *= np.sign(coefficients[0])
     words = ""
-    for coefficient, k in zip(coefficients, shown.tolist(), strict=True):
-        size = abs(coefficient)
+    for coefficient, size, k in zip(coefficients, np.abs(coefficients), shown.tolist(), strict=True):
         factor = "" if abs(size - 1.0) <= 0.02 else f"{size:.2g} "
         words += (" + " if coefficient > 0.0 else " - ") + factor + names[k]
     return words[3:]
@@ -189,9 +188,7 @@ def sparse_basis(orthonormal: Array) -> Array:
         return orthonormal
     from scipy.linalg import qr  # deferred: only rank-deficient plans pay for the import
 
-    pivots = np.sort(qr(orthonormal.T, pivoting=True, mode="economic")[2][:k])
-    basis = orthonormal @ np.linalg.inv(orthonormal[pivots])
+    basis = orthonormal @ np.linalg.inv(orthonormal[np.sort(qr(orthonormal.T, pivoting=True, mode="economic")[2][:k])])
     basis = basis / np.max(np.abs(basis), axis=0, initial=np.finfo(float).tiny)
     basis[np.abs(basis) <= RANK_TOLERANCE] = 0.0
-    order = sorted(range(k), key=lambda j: tuple(np.flatnonzero(np.abs(basis[:, j]) > TOUCHED)))
-    return np.asarray(basis[:, order])
+    return np.asarray(basis[:, sorted(range(k), key=lambda j: tuple(np.flatnonzero(np.abs(basis[:, j]) > TOUCHED)))])

@@ -108,10 +108,9 @@ def with_servo_errors(arm: Arm, measurements: Measurements) -> tuple[Arm, list[d
     for j, (kind, error, sign) in enumerate(zip(arm.joint_types, errors.T, signs.T, strict=True), start=1):
         columns = np.column_stack([np.ones(len(error)), sign])
         offset, reversal = np.linalg.lstsq(columns, error, rcond=RANK_TOLERANCE)[0].tolist()
-        rest = error - columns @ [offset, reversal]
         rms, largest = float(np.sqrt(np.mean(error**2))), float(np.max(np.abs(error)))
         figures = {"offset": offset, "reversal": reversal, "rms": rms, "largest": largest}
-        figures |= {"rest": float(np.sqrt(np.mean(rest**2)))}
+        figures |= {"rest": float(np.sqrt(np.mean((error - columns @ [offset, reversal]) ** 2)))}
         factor, unit = (180.0 / np.pi, "deg") if kind == REVOLUTE else (1.0, "mm")
         entries.append({"joint": j, "unit": unit, **{name: value * factor for name, value in figures.items()}})
         specs += [EffectSpec(SERVO, j, {"b": offset, "h": reversal})] if largest > 0.0 else []

@@ -348,9 +348,7 @@ def identify_files(
     if reference is not None and (old or chosen or any(effect.values for effect in loaded.effects)):
         # where something is held, temperatures count from those that it was found at
         measurements = replace(measurements, reference=float(reference))
-
-    if chosen:
-        loaded = with_all_markers(loaded, measurements)
+    loaded = with_all_markers(loaded, measurements) if chosen else loaded
 
     # with the library's prior, as the options, the plan or an earlier fit say
     meant, how = f"{data} says # fit: {measurements.fit}", "with the prior of the library, as the plan was designed"

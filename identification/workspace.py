@@ -96,8 +96,7 @@ class LineOfSight:
         if dimension == len("xy"):
             turn = np.array([[cos, -sin], [sin, cos]])
             return [np.stack([tracker + 1.3 * far * (turn.T @ unit), tracker, tracker + 1.3 * far * (turn @ unit)])]
-        length = 1.2 * far if self.reach is None else self.reach[1]
-        end = tracker + length * (cos * unit + sin * ring(axis))
+        end = tracker + (1.2 * far if self.reach is None else self.reach[1]) * (cos * unit + sin * ring(axis))
         return [end, *(np.stack([tracker, place]) for place in end[:-1:12])]
 
 

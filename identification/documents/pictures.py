@@ -114,8 +114,7 @@ def kept_rows(diagnosis: Diagnosis) -> tuple[NDArray[np.int64], Array, Pairs]:
 def signed_of(diagnosis: Diagnosis) -> Sequence[Figure | str]:
     """Residuals of the data with their sign, against each joint, and how they are read."""
     kept, postures, ((before, _), (after, _)) = kept_rows(diagnosis)
-    named = diagnosis.effects or diagnosis.curves
-    last = "the model with what is named" if named else "the model, with nothing named"
+    last = f"the model{' with what is' if diagnosis.effects or diagnosis.curves else ', with nothing'} named"
     pairs = [(before, "the model without what is named"), (after, last)]
     return signed_figures(diagnosis.arm, postures, pairs, diagnosis.measurements.conditions.rows(kept))
 

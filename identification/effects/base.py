@@ -270,8 +270,7 @@ class ArmState:
         at = {name: c[place] for name, place in columns.items()}
         if "past" in at:
             at["past"] = ca.reshape(at["past"], REMEMBERED, arm.links).T
-        turned, shifted = ca.SX.zeros(len(arm.chain.turning)), ca.SX.zeros(arm.dimension)
-        return cls(arm.chain, arm.gravity, q, turned, shifted, **at)
+        return cls(arm.chain, arm.gravity, q, ca.SX.zeros(len(arm.chain.turning)), ca.SX.zeros(arm.dimension), **at)
 
     # (n,) the posture before [rad]; in the first row the posture itself
     previous = property(lambda self: self.q if self.past is None else self.past[:, -1])

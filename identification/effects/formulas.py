@@ -256,9 +256,8 @@ of_joint(
 
 def _hysteresis_widths(scope: Scope) -> list[float]:
     """Widths to try [deg], from nearly backlash to nearly a wrong gear ratio, for the range of the joint."""
-    joint = (scope.joint or 1) - 1
     angles = np.array([scope.arm.lower, scope.arm.upper]) if scope.postures is None else scope.postures
-    span = float(np.degrees(np.ptp(angles[:, joint])))  # of which the widths are shares
+    span = float(np.degrees(np.ptp(angles[:, (scope.joint or 1) - 1])))  # of which the widths are shares
     return [share * span for share in (0.05, 0.08, 0.12, 0.18, 0.27, 0.4)] if span > 0.0 else [1.0]
 
 

@@ -137,7 +137,6 @@ def _identification(problem: Problem, data: Measurements, solution: Solution, ro
     """The `Identification` of a solution: what is estimable, the uncertainty, and doubts about the fit."""
     model, x, has_sigma = problem.model, solution.parameters[0], problem.sigma is not None
     noise = problem.noise if problem.prior.names else None
-    made = uncertainty(rows, sigma_given=has_sigma, reliance=problem.reliance, noise=noise)
     scale = noise if noise is not None else float(np.sqrt(rows.squares / rows.freedom)) if rows.freedom > 0 else None
     scatter = None if scale is None else scale * (problem.sigma or 1.0)
     # a number of each joint that no row shows does nothing: gravity has no moment about a vertical axis
@@ -158,8 +157,6 @@ def _identification(problem: Problem, data: Measurements, solution: Solution, ro
         unexplained[used] = outlying(rows.residual, rows.columns, rows.moment)
     structure = together(unexplained, data.postures, data.posture_numbers)
     outlier = unexplained & ~structure
-    first = np.flatnonzero(used)[np.unique(data.repeat_numbers[used], return_index=True)[1]]
-    status = Status.not_identifiable if undetermined else solution.status[0]
     return Identification(
         model=model,
         parameters=x,
@@ -171,12 +168,12 @@ def _identification(problem: Problem, data: Measurements, solution: Solution, ro
         residuals_before=before,
         residuals_after=after,
         method=problem.method,
-        status=Status.implausible if implausible else status,
+        status=Status.implausible if implausible else Status.not_identifiable if undetermined else solution.status[0],
         provenance=data.origin | joint_range(data.postures, model.joint_types),
-        uncertainty=made,
+        uncertainty=uncertainty(rows, sigma_given=has_sigma, reliance=problem.reliance, noise=noise),
         scatter=scatter,
         doubts=(*sentences, *far_rows(after, data, getattr(model, "arm", None), outlier, structure)),
-        postures=data.postures[first],
+        postures=data.postures[np.flatnonzero(used)[np.unique(data.repeat_numbers[used], return_index=True)[1]]],
         inside=rows.inside,
         outlier_rows=tuple((np.flatnonzero(outlier) + 1).tolist()),
         unexplained_rows=tuple((np.flatnonzero(structure) + 1).tolist()),

@@ -80,7 +80,6 @@ class Prior(ByValue):
     def factor(self, parameters: ParameterSet) -> Array:
         """(p, r) F, with the covariance F F^T; zero in the rows of parameters without a prior."""
         deviations = parameters.vector(self.deviations, default=0.0)
-        independent = np.diag(deviations)[:, deviations > 0.0]
         earlier = self.earlier.about(parameters.names)
         covariance = np.asarray(earlier.covariance)
         sizes = np.sqrt(np.diag(covariance))  # combinations known better than rounding are held as well as that
@@ -89,7 +88,7 @@ class Prior(ByValue):
         root[[parameters.index(name) for name in earlier.parameter_names]] = (
             sizes[:, None] * vectors * np.sqrt(np.maximum(values, PRODUCT_TOLERANCE * values.max(initial=0.0)))
         )
-        return np.concatenate([independent, root], axis=1)
+        return np.concatenate([np.diag(deviations)[:, deviations > 0.0], root], axis=1)
 
     def rows(self, parameters: ParameterSet, noise: float = 1.0) -> Array:
         """(r, p) rows for the Jacobian, F^-1, one for each parameter that has a prior; its residuals are rows @ (center

@@ -271,11 +271,10 @@ class Identification(Documented, ReadOnly):
     def rows(self) -> list[dict[str, Any]]:
         """One entry of `parameters` for each parameter estimated, in file units."""
         values = np.where(self.identifiable, self.parameters, np.nan)
-        rows = zip(self.model.parameters, values, self.std, *self.intervals.T, strict=True)
         return [
             {"name": p.name, "unit": p.file_unit}
             | {k: float(v * p.to_file) if np.isfinite(v) else None for k, v in zip(shown.COLUMNS, figures, strict=True)}
-            for p, *figures in rows
+            for p, *figures in zip(self.model.parameters, values, self.std, *self.intervals.T, strict=True)
             if p.name not in self.held
         ]
 
@@ -387,7 +386,6 @@ def corrected_values(
         if (name := f"{LENGTH_ERROR}:{j}") in model.geometry_parameters.names:
             value = length + values.get(name, 0.0)
             rows.append(of.row(f"length of link {j}", name, length, value, {name: 1.0}, "mm", "length of the link"))
-    turned = any(spec.name == "base_offset" for spec in arm.effects)
     for j, kind in enumerate(arm.joint_types, start=1):
         p = Parameter(f"{JOINT_OFFSET}:{j}", JOINT_UNITS[kind])
         # what it adds to what is read, as the controller counts: of coupled joints what both add
@@ -395,7 +393,7 @@ def corrected_values(
         slopes = {f"{JOINT_OFFSET}:{i}": x * p.to_file for i, x in shares if x}
         if not (len(slopes) == 1 and {*slopes} <= {*chain.instrument.hidden(chain.base)}):
             value = sum(x * values.get(name, 0.0) for name, x in slopes.items())
-            stands = turned and j == 1
+            stands = j == 1 and any(spec.name == "base_offset" for spec in arm.effects)
             meaning = f"zero of joint 1 with the rotation of the base, {STANDS}" if stands else ZERO.format(j=j)
             alone = next(iter(slopes)) if len(slopes) == 1 else None
             rows.append(of.row(f"zero of joint {j}", alone, 0.0, value, slopes, p.file_unit, meaning))

@@ -60,7 +60,6 @@ def load_measurements(path: PathLike, links: int | Arm | None = None) -> Measure
     postures = read_postures(table, kinds)
     marked, touched = (instrument.target, "") if instrument.own_targets else (chain.point_column, instrument.target)
     session = table.texts("session") if "session" in table else None
-    marker = table.texts(marked) if marked and marked in table else None
     coordinates = instrument.coordinates[: len(chain.axes)]
     read = [read_column(table, name, kind, LENGTH_RANGE if positive else None) for name, kind, positive in coordinates]
     conditions = _conditions(table, kinds, NUMBERS)
@@ -76,7 +75,7 @@ def load_measurements(path: PathLike, links: int | Arm | None = None) -> Measure
         order if time is None else time,
         sigma=read_column(table, "sigma", LENGTH, SIGMA_RANGE) if _units_of(table, "sigma", LENGTH) else None,
         session=session,
-        marker=marker,
+        marker=table.texts(marked) if marked and marked in table else None,
         orientations=read_orientations(table) if poses else None,
         commanded=read_postures(table, kinds, "commanded") if _joint_columns(table, "commanded") else None,
         fit=table.fit,

@@ -108,8 +108,7 @@ class Reading:
     def counting(self, before: Counting) -> Counting | None:
         """How the controller counts, where this is what its columns say to an arm whose file says `before`; None where
         that is not all that is different, or a joint is coupled to several."""
-        n = len(self.order)
-        if self.order != tuple(range(n)) or self.other_units or self.mirrored:
+        if self.order != tuple(range(len(self.order))) or self.other_units or self.mirrored:
             return None
         # signs (sums q - zeros) are the joints as read so far, from which follow the columns
         through = before.matrix * np.array(self.signs)

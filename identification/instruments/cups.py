@@ -104,8 +104,7 @@ class Socket(AtTargets):
         tool = rows.tool
         if tool is None:
             tool = -np.linalg.lstsq(turns.reshape(-1, 3), positions.ravel(), rcond=VISIBLE)[0]
-        moved = positions + turns @ tool
-        return Placement(np.eye(4), tool, float(np.sqrt(np.mean(np.sum(moved**2, axis=1)))))
+        return Placement(np.eye(4), tool, float(np.sqrt(np.mean(np.sum((positions + turns @ tool) ** 2, axis=1)))))
 
     def target_of(self, points: Array, readings: Array) -> Array:
         """In the middle of the points."""

@@ -80,8 +80,7 @@ class Tracker(Instrument):
         points = places + (rotations @ tool[:, None, :, None])[..., 0]
         base = registered(points, measured) if rows.base is None else np.broadcast_to(rows.base, (k, 4, 4))
         left = measured - (points @ base[:, :3, :3].mT + base[:, None, :3, 3])[..., : measured.shape[2]]
-        rms = np.sqrt(np.mean(np.sum(left**2, axis=2), axis=1))
-        return [*map(Placement, base, tool, rms.tolist())]
+        return [*map(Placement, base, tool, np.sqrt(np.mean(np.sum(left**2, axis=2), axis=1)).tolist())]
 
 
 TRACKER = Tracker()

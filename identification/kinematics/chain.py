@@ -200,8 +200,7 @@ class KinematicChain(ByValue):
         point, if it is farther from the tip, and of axes that all meet in one point some distance."""
         slides = [max(abs(joint.lower), abs(joint.upper)) for joint in self.joints if joint.type == PRISMATIC]
         parts = [np.linalg.norm(self.link_poses[0][:3, 3]), *self.lengths.tolist(), *slides]
-        tools = [np.linalg.norm(place[:3, 3]) for place in self.tools.values()]
-        return float(max(sum(parts), *tools, 0.0)) or 100.0
+        return float(max(sum(parts), *(np.linalg.norm(place[:3, 3]) for place in self.tools.values()), 0.0)) or 100.0
 
     @cached_property
     def levers(self) -> Array:
@@ -480,11 +479,10 @@ class PlanarChain(KinematicChain):
         scaled as far as anything is left of a link"""
         numbers = range(1, len(self) + 1)
         lengths = self.lengths + [best.get(f"{LENGTH_ERROR}:{j}", 0.0) for j in numbers]
-        scales = np.where(lengths == 0.0, self.lengths, np.abs(lengths)).tolist()
         errors = [Parameter(f"{LENGTH_ERROR}:{j}", "mm", kind=LENGTH_ERROR, joint=j) for j in numbers]
         offsets = [
             Parameter(f"{JOINT_OFFSET}:{j}", "rad", scale=s, kind=JOINT_OFFSET, joint=j)
-            for j, s in enumerate(scales, start=1)
+            for j, s in enumerate(np.where(lengths == 0.0, self.lengths, np.abs(lengths)).tolist(), start=1)
         ]
         return ParameterSet([*errors, *offsets, *self.instrument.parameters])
 

@@ -158,8 +158,7 @@ def turned_into(postures: Array, lower: Array, upper: Array, joint_types: Sequen
     where the limits allow them."""
     lower, upper = lower - slack, upper + slack
     turned = lower + np.mod(postures - lower, TURN)
-    beyond = (postures < lower) | (postures > upper)
-    revolute = np.array([kind == REVOLUTE for kind in joint_types])
+    revolute, beyond = np.array(joint_types) == REVOLUTE, (postures < lower) | (postures > upper)
     return np.where(revolute & beyond & (turned <= upper), turned, postures)
 
 

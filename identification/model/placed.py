@@ -243,8 +243,7 @@ def with_all_markers(arm: Arm, measurements: Measurements) -> Arm:
         return replace(arm, chain=with_markers(arm.chain, measurements))
     tools = arm.chain.standing_in(calibration.values).tools
     chain = with_markers(replace(arm.chain, tools=tools), measurements)
-    renamed = len(tools) == 1 == len(chain.tools)
-    known = chain.tools if renamed else {name: tools[name] for name in calibration.tools}
+    known = chain.tools if len(tools) == 1 == len(chain.tools) else {name: tools[name] for name in calibration.tools}
     calibration = replace(calibration, values=_without(calibration.values, (TOOL,)), tools=known)
     return replace(arm, chain=replace(chain, tools={**chain.tools, **known}), calibration=calibration)
 
@@ -252,8 +251,7 @@ def with_all_markers(arm: Arm, measurements: Measurements) -> Arm:
 # -- positions where something else is read ----------------------------------------------------------------------------
 def _as_tracker(arm: Arm) -> Arm:
     """The arm as if positions were read in the frame of its instrument, without effects of that."""
-    offers = arm.chain.instrument.offers
-    effects = [spec for spec in arm.effects if not library()[spec.name].needs & offers]
+    effects = [spec for spec in arm.effects if not library()[spec.name].needs & arm.chain.instrument.offers]
     return replace(arm, chain=replace(arm.chain, instrument=Tracker(arm.chain.angle_scale))).with_effects(*effects)
 
 

@@ -84,8 +84,7 @@ def arm(*effects: EffectSpec, values: dict[str, float] | None = None) -> Arm:
 def test_shortest_correction_of_a_redundant_arm() -> None:
     """To first order the correction is the minimum-norm solution: no motion along the arm's self-motion."""
     nominal = np.random.default_rng(1).uniform(-0.6, 0.6, (20, 4)) * LIMITS
-    found = compensate(arm(), postures=nominal)
-    for q, command in zip(nominal, found.commands, strict=True):
+    for q, command in zip(nominal, compensate(arm(), postures=nominal).commands, strict=True):
         links = np.cumsum((LENGTHS * np.exp(1j * np.cumsum(q)))[::-1])[::-1] * 1j
         jacobian = np.array([links.real, links.imag])
         correction = command - q
@@ -289,8 +288,7 @@ def test_what_happened_in_the_session_is_over_and_the_temperature_is_its_mean() 
     scaled = EffectSpec("measurement_scale", None, {"s": 1e-4})
     for spec, said in ((EffectSpec("joint_compliance", 2, {"c": 1e-5}), carried), (scaled, read)):
         assert compensate(arm(spec), postures=nominal).warnings == [said]
-    given = Conditions(time=np.zeros(2), temperature=np.zeros(2))
-    before = compensate(jumped, postures=nominal, conditions=given)
+    before = compensate(jumped, postures=nominal, conditions=Conditions(time=np.zeros(2), temperature=np.zeros(2)))
     assert before.warnings == []
     np.testing.assert_allclose(tip(before.commands + offsets, lengths), before.targets, rtol=0, atol=TOLERANCE)
     # in the second session, which has a base of its own: the file has that of the first

@@ -125,9 +125,8 @@ def test_poses_that_few_starts_lead_to_are_reached() -> None:
 def test_a_posture_a_turn_beyond_the_limits_is_the_same_posture() -> None:
     limits, exact = np.radians([170.0, 170.0]), Calibration.of(np.zeros(2), np.zeros(2))
     arm = Arm([300.0, 200.0], lower=-limits, upper=limits, calibration=exact)
-    model = Model(arm)
     wanted, read = np.radians([[137.0, -60.0]]), np.radians([[-223.0, 300.0]])
-    goals = model.position(wanted, np.zeros(4))
+    goals = Model(arm).position(wanted, np.zeros(4))
     assert compensate(arm, goals, read).commands == pytest.approx(wanted, abs=1e-6)
 
 

@@ -51,9 +51,8 @@ def test_planar_values_are_the_drawing_with_its_errors() -> None:
 
 
 def test_what_is_not_estimable_has_no_value_and_what_is_held_no_interval() -> None:
-    model = Model(arm(), {"length_error:1": 1.5, "length_error:2": 0.0})
     at_zero = replace(data(Model(arm()), plan(30)), postures=np.zeros((30, 4)))
-    rows = by_name(estimate(model, at_zero).corrected_values)
+    rows = by_name(estimate(Model(arm(), {"length_error:1": 1.5, "length_error:2": 0.0}), at_zero).corrected_values)
     held, lost = rows["length of link 1"], rows["length of link 3"]
     assert (held.corrected, held.std, held.low_95) == (LENGTHS[0] + 1.5, None, None)
     assert (lost.corrected, lost.std, lost.high_95) == (None, None, None)
@@ -160,8 +159,7 @@ def test_a_calibrated_file_has_the_intervals_of_its_fit(kind: str, tmp_path: Pat
 
 @cache
 def fitted() -> Identification:
-    arm = Arm(chain_of(UR10), sigma=0.05)
-    model, generator = Model(arm), np.random.default_rng(4)
+    model, generator = Model(Arm(chain_of(UR10), sigma=0.05)), np.random.default_rng(4)
     parameters = model.parameters
     truth = 0.3 * parameters.vector(model.prior, default=0.0) * generator.standard_normal(len(parameters))
     truth[[parameters.index(f"tool[1].{axis}") for axis in "xyz"]] = [60.0, 30.0, 80.0]

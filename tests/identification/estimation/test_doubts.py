@@ -138,12 +138,10 @@ def six_axes(m: int = 40, spread: float = 0.5) -> Measurements:
 def test_a_reflector_that_was_mounted_again_is_to_have_another_name(shift: float, names: str, said: bool) -> None:
     rows, half = six_axes(), 20
     here, there = (points(rows.postures[half:], np.array([x, 30.0, 60.0]), TABLE) for x in (40.0, 40.0 + shift))
-    positions = rows.positions + np.vstack([np.zeros((half, 3)), there - here])
     labels = {key: np.repeat([*of], half) for key, of in (("session", "12"), ("marker", names))}
-    rows = replace(rows, positions=positions, **labels)
+    rows = replace(rows, positions=rows.positions + np.vstack([np.zeros((half, 3)), there - here]), **labels)
     drawn = Arm(CHAIN)
-    doubts = estimate(Model(with_sessions(drawn, rows)), rows).doubts
-    for sentences in (doubts, inspect(drawn, rows).problems):
+    for sentences in (estimate(Model(with_sessions(drawn, rows)), rows).doubts, inspect(drawn, rows).problems):
         moved_points = [sentence for sentence in sentences if sentence.startswith("measured points moved")]
         assert len(moved_points) == said
     assert not said or all(words in moved_points[0] for words in ("falls by more than half if", "(column marker)"))

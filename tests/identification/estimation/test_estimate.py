@@ -25,8 +25,7 @@ def test_covariance_is_the_inverse_information_at_the_estimate() -> None:
     model = Model(arm(EffectSpec("encoder_eccentricity", 2)))
     measurements = data(model, plan(20))
     found = estimate(model, measurements, sigma=0.2)
-    jacobian = model.jacobian(plan(20), found.parameters) / model.scales
-    expected = 0.04 * np.linalg.inv(information_matrix(jacobian))
+    expected = 0.04 * np.linalg.inv(information_matrix(model.jacobian(plan(20), found.parameters) / model.scales))
     scaled = found.covariance * np.outer(model.scales, model.scales)
     np.testing.assert_allclose(scaled, expected, rtol=0, atol=1e-10 * np.max(expected))
     free = estimate(model, measurements)
@@ -253,9 +252,8 @@ def test_sigma_of_rows_and_conditions_are_those_of_single_fits(name: str) -> Non
     model, postures = Model(arm(*EFFECTS[name])), plan(25)
     positions = batch(model, postures, 20, 1.0)
     sigma = np.random.default_rng(0).uniform(0.05, 0.3, 25)
-    shared = Measurements(postures, positions[0], sigma=sigma)
     rows = {k: Measurements(postures, positions[k], sigma=sigma) for k in range(5)}
-    same(model, estimate_batch(model, shared, positions), rows)
+    same(model, estimate_batch(model, Measurements(postures, positions[0], sigma=sigma), positions), rows)
 
 
 def test_large_offsets_and_known_parameters_take_the_individual_path() -> None:

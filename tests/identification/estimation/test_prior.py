@@ -83,9 +83,8 @@ def test_joints_about_which_gravity_has_no_moment_are_no_reason_to_refuse() -> N
     """The first axis of an upright arm: the file keeps no covariance of its compliance, so that it can be a prior."""
     rng = np.random.default_rng(6)
     truth = small_arm.small_arm(rng, compliance=np.array([0.0, 2e-4, 1e-4, 0.0, 0.0, 0.0]))
-    arm = small_arm.drawn_arm().with_effects(EffectSpec("joint_compliance"))
     data = small_arm.measured(truth, small_arm.random_postures(40, rng), rng)
-    found = estimate(Model(arm), data)
+    found = estimate(Model(small_arm.drawn_arm().with_effects(EffectSpec("joint_compliance"))), data)
     assert (found.status, found.not_identifiable) == (Status.converged, ())
     assert {*found.names} - {*found.calibration().parameter_names} == {"joint_compliance.c1"}
     without = replace(found, identifiable=found.identifiable & (np.arange(len(found.names)) > 0))  # of base.x

@@ -103,11 +103,10 @@ def test_an_identification_compares_its_residuals_with_repeats(sigma: float | No
 def test_chi_square_of_what_is_left_by_sigma_of_the_rows_then_of_the_arm() -> None:
     rng, kept, each = np.random.default_rng(4), np.arange(50) > 3, np.linspace(0.1, 0.2, 50)
     data, left = Measurements(rng.uniform(-3.0, 3.0, (50, 3)), np.zeros((50, 2))), 0.14 * rng.normal(size=(50, 2))
-    by_row = replace(data, sigma=each)
     for rows, sigma, scatter, significant in (
         (data, 0.1, 0.1, True),
         (data, 0.14, 0.14, False),
-        (by_row, 5.0, each, None),
+        (replace(data, sigma=each), 5.0, each, None),
     ):
         result, chi2 = misfit(left, 6, rows, sigma, kept), np.sum(((left.T / scatter).T)[4:] ** 2)
         assert result is not None

@@ -267,8 +267,7 @@ def problem(seed: int = 0, d: int = 2, p: int = 3) -> tuple[np.ndarray, np.ndarr
     rng = np.random.default_rng(seed)
     jacobian = rng.standard_normal((len(GROUPS), d, p))
     flat = jacobian.reshape(-1, p)
-    hat = flat @ np.linalg.pinv(flat)
-    residual = (np.eye(len(flat)) - hat) @ rng.standard_normal(len(flat))
+    residual = (np.eye(len(flat)) - flat @ np.linalg.pinv(flat)) @ rng.standard_normal(len(flat))
     return jacobian, residual.reshape(-1, d), np.linalg.cholesky(np.linalg.inv(flat.T @ flat))
 
 
@@ -454,6 +453,5 @@ def test_postures_that_gravity_explains_are_no_outliers() -> None:
     positions[wrong] += [0.0, 4.0, -4.0]
     found = estimate(Model(drawn_arm(gravity=False)), replace(data, positions=positions))
     assert found.outlier_rows == (11, 201, 331)
-    whole = [k for k in few if {3 * k + 1, 3 * k + 2, 3 * k + 3} <= set(found.unexplained_rows)]
-    assert len(whole) >= 3
+    assert len([k for k in few if {3 * k + 1, 3 * k + 2, 3 * k + 3} <= set(found.unexplained_rows)]) >= 3
     assert any("whole postures" in doubt and "stay in the fit" in doubt for doubt in found.doubts)

@@ -63,9 +63,8 @@ def spoilt_by(tables: dict[str, Any], folder: Path, path: Path_, value: Any, key
 
 
 def test_a_value_of_no_type_that_any_key_has(tables: dict[str, Any], tmp_path: Path) -> None:
-    date = datetime.date(2026, 11, 24)
     for path in places(tables):
-        message = spoilt_by(tables, tmp_path, path, date)
+        message = spoilt_by(tables, tmp_path, path, datetime.date(2026, 11, 24))
         if path[0] == "tool":  # by the name of a marker, or a key of the only one
             assert message.startswith("tool")
         else:

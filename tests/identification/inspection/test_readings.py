@@ -88,8 +88,7 @@ def test_six_axes(six_axis: tuple[Arm, Measurements]) -> None:
 def test_a_zero_of_any_angle_is_found_and_no_reversed_joints(six_axis: tuple[Arm, Measurements]) -> None:
     """To a tenth of a degree and what the arm itself is off by, 0.3 deg; a fit takes it up, so it is no misreading."""
     arm, data = six_axis
-    turned = data.postures + np.radians([0, 0, 63.0, 0, 0, 0])
-    better = read_differently(arm, replace(data, postures=turned)).better
+    better = read_differently(arm, replace(data, postures=data.postures + np.radians([0, 0, 63.0, 0, 0, 0]))).better
     assert (better.moved_zeros, better.signs, better.order) == (True, (1,) * 6, tuple(range(6)))
     assert 90.0 * better.quarters[2] % 360.0 == pytest.approx(297.0, abs=0.4)
     assert better.words == ("joint 3 has another zero than the drawing: add -63 deg to it",)
@@ -143,8 +142,7 @@ def test_nothing_is_said_of_arms_with_errors_as_they_are_built() -> None:
             q = generator.uniform(-2.5, 2.5, (30, n))
             theta = np.cumsum(q + np.radians(generator.normal(0.0, 1.0, n)), axis=1)
             z = np.exp(1j * theta) @ (lengths + generator.normal(0.0, 2.0, n)) * np.exp(0.7j) + 500.0
-            found = read_differently(Arm(lengths), Measurements(q, np.column_stack([z.real, z.imag])))
-            assert found.better is None
+            assert read_differently(Arm(lengths), Measurements(q, np.column_stack([z.real, z.imag]))).better is None
 
 
 def test_a_wrist_whose_axes_meet_has_two_explanations() -> None:
@@ -201,8 +199,7 @@ def test_what_a_fit_asks_check_asks() -> None:
     q = generator.uniform(-2.0, 2.0, (60, 3))
     made = [(1.2, QUARTER + 0.006, 350.0), (-401.2, 0.006, 1.2), (-298.8, QUARTER - 0.006, 1.2)]
     seen = points(q, np.array([60.0, 20.0, 40.0]), made) + generator.normal(0.0, 0.01, (60, 3))
-    found = inspect(replace(ARM, machining=Machining(0.1, np.radians(0.05))), Measurements(q, seen))
-    (asked,) = found.problems
+    (asked,) = inspect(replace(ARM, machining=Machining(0.1, np.radians(0.05))), Measurements(q, seen)).problems
     assert asked.startswith("the arm is farther from its drawing than [machining] says (0.1 mm and 0.05 deg); the fit ")
     assert asked.endswith(" times that; are units, order and signs of joints and coordinates right?")
 
@@ -284,10 +281,9 @@ TOOLS = {"left": np.array([90.0, 20.0, 50.0]), "right": np.array([-80.0, 10.0, 4
 def measured(rows: int = 30) -> Measurements:
     """Both points in turn, of an arm that stands elsewhere."""
     generator = np.random.default_rng(3)
-    chain = replace(CHAIN, base=pose((2000.0, -500.0, 700.0), from_angles((0.1, -0.4, 2.0))), tools=TOOLS)
     postures = generator.uniform(-2.0, 2.0, (rows, 3))
     data = Measurements(postures, np.zeros((rows, 3)), marker=np.array(list(TOOLS))[np.arange(rows) % 2])
-    model = Model(Arm(chain))
+    model = Model(Arm(replace(CHAIN, base=pose((2000.0, -500.0, 700.0), from_angles((0.1, -0.4, 2.0))), tools=TOOLS)))
     return replace(data, positions=model.position(postures, generator.normal(0.0, 1.0 / model.scales), data.conditions))
 
 

@@ -73,8 +73,7 @@ def read(instrument: Instrument, frames: np.ndarray, base: np.ndarray, tool: np.
 @pytest.mark.parametrize("instrument", [TRACKER, Distance(), Plane()], ids=lambda instrument: type(instrument).__name__)
 def test_base_and_point_come_back(instrument: Instrument, base: np.ndarray | None, tool: np.ndarray | None) -> None:
     """And of other postures the same is read."""
-    readings = read(instrument, FRAMES[:40], BASE, TOOL)
-    placed = instrument.place(Unplaced(FRAMES[:40], readings, REACH, base, tool))
+    placed = instrument.place(Unplaced(FRAMES[:40], read(instrument, FRAMES[:40], BASE, TOOL), REACH, base, tool))
     np.testing.assert_allclose(placed.tool, TOOL, atol=1e-6)
     np.testing.assert_allclose(placed.base[:3, :3] @ placed.base[:3, :3].T, np.eye(3), atol=1e-12)
     others = (read(instrument, FRAMES[40:], *each) for each in ((BASE, TOOL), placed[:2]))
@@ -166,11 +165,9 @@ def test_without_noise_all_comes_back(turn: float) -> None:
     np.testing.assert_allclose(fit.length_errors, ERRORS, atol=1e-8)
     np.testing.assert_allclose(fit.joint_offsets, OFFSETS, atol=1e-10)
     values = fit.model.parameters.mapping(fit.parameters)
-    rows = {row.name: row.corrected for row in fit.corrected_values}
-    assert rows["center left x"] == values["center[left].x"]
+    assert {row.name: row.corrected for row in fit.corrected_values}["center left x"] == values["center[left].x"]
     for name, center in zip(("left", "right"), CENTERS * np.exp(1j * turn), strict=True):
-        found = complex(values[f"center[{name}].x"], values[f"center[{name}].y"])
-        assert found == pytest.approx(center, abs=1e-7)
+        assert complex(values[f"center[{name}].x"], values[f"center[{name}].y"]) == pytest.approx(center, abs=1e-7)
 
 
 def test_what_distances_show() -> None:
@@ -192,8 +189,7 @@ def test_intervals_hold() -> None:
         fit = fitted(data(40, SIGMA, 100 + seed))
         truth = dict(zip((f"length_error:{j}" for j in (1, 2, 3)), ERRORS, strict=True))
         truth |= {"joint_offset:2": OFFSETS[1], "joint_offset:3": OFFSETS[2]}
-        deviations = np.sqrt(np.diag(fit.covariance))
-        values = zip(fit.names, fit.parameters, deviations, strict=True)
+        values = zip(fit.names, fit.parameters, np.sqrt(np.diag(fit.covariance)), strict=True)
         scores += [(x - truth[name]) / std for name, x, std in values if name in truth]
     assert 0.7 < np.sqrt(np.mean(np.square(scores))) < 1.35  # 100 correlated ones, as if 30 were independent
 
@@ -238,8 +234,7 @@ def test_a_camera_with_unknown_base() -> None:
     errors = {f"joint_offset:{j}": 3e-3 for j in range(2, 6)} | {"translation_x:3": 0.8, "rotation_y:4": 2e-3}
     eccentric = EffectSpec("encoder_eccentricity", 3, {"a": 1e-3, "b": 5e-4})
     chain = replace(CHAIN, instrument=Camera(), base=CAMERA)
-    truth = Arm(chain, sigma=PIXELS, effects=(eccentric,), calibration=Calibration(errors))
-    data = simulate(truth, q, generator)
+    data = simulate(Arm(chain, sigma=PIXELS, effects=(eccentric,), calibration=Calibration(errors)), q, generator)
     arm = Arm(replace(CHAIN, instrument=Camera(), base=np.eye(4), tools={"1": np.zeros(3)}), sigma=PIXELS)
     found = estimate(Model(arm.with_effects(EffectSpec("encoder_eccentricity", 3))), data)
     assert found.status is Status.converged

@@ -140,8 +140,7 @@ def test_nothing_is_missing_where_a_smaller_arm_fits_better(one_by_one: bool) ->
     cups = {"A": CUPS["A"], "B": [450.0, -150.0, 100.0]} if one_by_one else CUPS
     data = rows(Exponentials(generator), cups, 80 // len(cups), NOISE, generator, one_by_one)
     known = (("A", "B", apart(cups, "A", "B")),) if one_by_one else ()
-    found = diagnose(Arm(replace(drawing(), instrument=Socket(distances=known)), sigma=NOISE), data)
-    assert found.verdict == "none"
+    assert diagnose(Arm(replace(drawing(), instrument=Socket(distances=known)), sigma=NOISE), data).verdict == "none"
 
 
 def test_rough_rows_leave_the_arm_about_as_drawn() -> None:
@@ -252,10 +251,9 @@ def test_no_motion_of_arm_and_cups_together_is_a_parameter() -> None:
 
 def test_cups_keep_distances_that_are_known() -> None:
     """Wherever the free coordinates are, near to the start; all six distances of a plate, too."""
-    cups = tuple((name, tuple(place)) for name, place in CUPS.items())
     every = tuple((a, b, apart(CUPS, a, b)) for a, b in combinations(CUPS, 2))
     for known in (every[:1], (every[0], every[-1]), every[:4], every):
-        socket = Socket(cups, known)
+        socket = Socket(tuple((name, tuple(place)) for name, place in CUPS.items()), known)
         assert len(socket.parameters) == 12 - len(known)
         values = ca.SX.sym("v", len(socket.parameters))
         places = ca.Function("places", [values], [ca.vertcat(*socket._cups(values))])

@@ -203,10 +203,9 @@ def test_information_in_orientations_is_eq_18_19_corrected(n: int) -> None:
 
 
 def test_parameter_sets_broadcast_like_single_calls() -> None:
-    generator = np.random.default_rng(3)
     effects = EffectSpec("encoder_eccentricity", 2), EffectSpec("base_drift")
     model, conditions = Model(Arm(FOUR_LINKS, effects=effects)), Conditions(time=np.linspace(-0.5, 0.5, 6))
-    sets = generator.uniform(0, 1, (5, len(model.names))) / model.scales
+    sets = np.random.default_rng(3).uniform(0, 1, (5, len(model.names))) / model.scales
     position, jacobian = model.linearize(PLANE, sets, conditions)
     assert (position.shape, jacobian.shape) == ((5, 6, 2), (5, 6, 2, len(model.names)))
     for k in range(5):

@@ -25,8 +25,7 @@ TRUE = replace(CHAIN, base=BASE, tools=TOOLS)
 def measured(chain: KinematicChain, rows: int = 60) -> Measurements:
     """Exact positions of both points in turn."""
     postures = np.random.default_rng(4).uniform(-2.5, 2.5, (rows, 6))
-    names = np.array(list(TOOLS))[np.arange(rows) % 2]
-    data = Measurements(postures, np.zeros((rows, 3)), marker=names)
+    data = Measurements(postures, np.zeros((rows, 3)), marker=np.array(list(TOOLS))[np.arange(rows) % 2])
     return replace(data, positions=Model(Arm(chain)).position(postures, conditions=data.conditions))
 
 
@@ -131,7 +130,6 @@ def test_joints_that_stand_still_stay_as_drawn() -> None:
     twelve were free, and frames of a real robot came out 23 m from the drawing."""
     q = np.random.default_rng(2).uniform(-1.5, 1.5, (60, 6))
     q[:, 3:] = [0.5, -0.7, 0.3]
-    seen = Model(Arm(replace(SIX, tools=OFF_AXIS))).position(q)
-    names = Model(practical(Arm(SIX), Measurements(q, seen))).names
+    names = Model(practical(Arm(SIX), Measurements(q, Model(Arm(replace(SIX, tools=OFF_AXIS))).position(q)))).names
     assert len(names) == 15
     assert not {name.rpartition(":")[2] for name in names} & {"5", "6"}
