@@ -186,7 +186,7 @@ def with_base_doubt(held: Identification, arm: Arm, words: Sequence[str], measur
     once = [e.key for e in held.model.effects if e.once and not frozen.isdisjoint(p.name for p in e.parameters)]
     if once and measurements.share_fitted(arm.provenance) < MOST:
         again = f"{', '.join(once)}: held, and so assumed to happen again from the first of these rows to the last"
-        held = replace(held, doubts=(*held.doubts, f"{again}; estimate it, too: --only {','.join([*once, *words])}"))
+        held = replace(held, doubts=(*held.doubts, again))
     try:
         free = estimate(only(arm, ["base", *words], measurements), measurements) if "base" not in words else held
     except InputError:  # the base is given, or too few rows
