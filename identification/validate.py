@@ -18,7 +18,7 @@ from identification.document import Document, Documented, in_a_sentence
 from identification.documents import identification as shown
 from identification.errors import InputError
 from identification.estimation import Identification, estimate
-from identification.estimation.doubts import lacking, left_out_residuals
+from identification.estimation.doubts import FALL, lacking, left_out_residuals
 from identification.estimation.problem import Problem, check_shape
 from identification.estimation.uncertainty import LEVEL_95, chance_of_gain
 from identification.information import spectrum
@@ -72,6 +72,15 @@ class Validation(Documented, ReadOnly):
     # over all rows, of the calibrated model, and of the drawing, refitted in the same way
     model = property(lambda self: figures_of(self.residuals))
     nominal = property(lambda self: figures_of(self.nominal_residuals))
+
+    @property
+    def promised(self) -> float:
+        """RMS distance [mm] that the identification leads to expect at postures like its own; infinite: not known."""
+        calibration = self.arm.calibration
+        if calibration is None or calibration.scatter is None or shown.unit_key(self.arm):
+            return np.inf
+        noise = calibration.scatter * np.sqrt(self.residuals[:, POINT].shape[1])
+        return float(np.hypot(noise, float(self.arm.provenance.get("expected_tip_measured_mm", 0.0))))
 
     @property
     def rms_angles(self) -> tuple[float, ...]:
@@ -133,26 +142,27 @@ class Validation(Documented, ReadOnly):
         fresh = [name for name in names if name not in tools]
         if refit != "none":  # measured points that the calibration does not have are fitted
             if not names and len(tools) > 1:
-                several = "if there are several, name them in the column marker"
                 alone = "the rows are assumed to be of one reflector; its position was fitted to them"
-                yield f"no column marker: {alone}; {several}"
+                yield f"no column marker: {alone}; if there are several, name them in the column marker"
             elif fresh and not len(tools) == 1 == len(names):
                 its = "its position was" if len(fresh) == 1 else "their positions were"
                 yield f"the calibration has no reflector {', '.join(fresh)}: {its} fitted to these rows"
         if (own := measurements.share_fitted(arm.provenance)) > 0.9:  # convention: a few others or left out rows
             yield shown.FITTED
         elif own > 0.0:
-            yield f"about {100.0 * own:.0f} % of these rows are among those that the model was identified from"
+            yield f"about {100.0 * own:.0f} % of these rows are {shown.AMONG}"
         if far := shown.extrapolated(arm.outside(measurements.postures), "rows"):
             yield far
-        if refit == "none" and arm.chain.instrument.reads_positions:
-            with suppress(InputError):  # of rows too few to say where the arm stands
-                anew = _refitted(arm, measurements, "base")[1]
-                chance = chance_of_gain(after, distances(anew), measurements)
-                # convention: a quarter less is more than the numbers refitted take from the noise of a few postures
-                if rms_distance(anew) < 0.75 * self.model.rms and chance <= LEVEL_95 / 2.0:
-                    left = in_a_sentence(rms_distance(anew))
-                    yield f"with the base refitted, as without --refit none, it leaves {left} mm RMS"
+        with suppress(InputError):  # of rows too few to say where the arm stands
+            base = self.residuals if refit == "base" else _refitted(arm, measurements, "base")[1]
+            left, of_positions = f"{in_a_sentence(rms_distance(base))} mm RMS", arm.chain.instrument.reads_positions
+            if refit == "none" and of_positions and _much_less(base, self.residuals, measurements):
+                yield f"with the base refitted, as without --refit none, it leaves {left}"
+            if own <= 0.9 and rms_distance(base) > FALL * self.promised:
+                numbers, freed, _ = _refitted(arm, measurements, "offsets")
+                zeros = f"; {in_a_sentence(rms_distance(freed))} mm {shown.ZEROS}"
+                zeros *= _much_less(freed, base, measurements, len(numbers))
+                yield f"{left} with the base refitted is {shown.BEYOND} ({in_a_sentence(self.promised)} mm){zeros}"
         model = Model(arm)
         if once := [effect.key for effect in model.effects if effect.once and own < MOST]:
             at_end = "the value at the end of the session of the identification is used in all rows"
@@ -167,6 +177,13 @@ class Validation(Documented, ReadOnly):
         data = self.to_json()
         notes = [note for note in self.notes if shown.BY_CHANCE not in note and note != shown.FITTED]
         return Document("Validation", [shown.validation_verdict(data), *notes], shown.validation_sections(data))
+
+
+def _much_less(after: Array, before: Array, measurements: Measurements, fitted: int = 0) -> bool:
+    """Whether what is left of (m, d) falls beyond chance, and by more than the numbers refitted take from the noise of
+    a few postures (convention: a quarter)."""
+    chance = chance_of_gain(distances(before), distances(after), measurements, fitted)
+    return rms_distance(after) < 0.75 * rms_distance(before) and chance <= LEVEL_95 / 2.0
 
 
 def validate(arm: Arm, measurements: Measurements, refit: str = "base") -> Validation:
@@ -289,8 +306,7 @@ def offer(
 
 def beside_geometry(by: str, geometry: Array, model: Array, measurements: Measurements, fitted: int = 0) -> Any:
     """`offer` from residuals (m, d) [mm] of the same rows;  fitted : as of `chance_of_gain`"""
-    before, after = distances(geometry), distances(model)
-    p_value = chance_of_gain(before, after, measurements, fitted)
+    p_value = chance_of_gain(distances(geometry), distances(model), measurements, fitted)
     alone, whole = ((rms_distance(left), float(np.max(distances(left)))) for left in (geometry, model))
     return offer(by, len(model), whole, alone, p_value, by == "holdout")
 

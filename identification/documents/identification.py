@@ -51,8 +51,11 @@ BETA = (
     "beta: rotation about the new y axis after alpha, where the next axis is nearly parallel (Hayati). A controller "
     "without beta cannot take that row; --urdf writes frames of six numbers."
 )
+AMONG = "among those that the model was identified from"  # some rows
 FITTED = "the model was identified from these measurements: this says nothing about others"
 BY_CHANCE = "may be chance"  # said of a gain within what the rows scatter by
+BEYOND = "more than the file promises"  # of what is left
+ZEROS = "with the joint offsets refitted, too"  # less is left
 KINDS_OF_EFFECTS = {
     "looked for": "Effects that diagnose looks for",
     "table": "Found by diagnose where no name fits",
@@ -287,14 +290,16 @@ def calibrated_actions(arm: str, rows: str, calibrated: str) -> list[Action]:
 
 def validation_actions(data: Data, model: str, rows: str) -> list[Action]:
     """What to do with a model that predicts other measurements, or does not, by the JSON of `validate`."""
+    which = f"joint_offsets,base{',tool' * ('measured points' in refitted_in_words(data))}"
+    zeros = Action("Find the zeros of the joints again:", f"armcal identify {model} {rows} --only {which}")
+    if noted(data, ZEROS):  # which no file has
+        return [zeros]
     if is_better(data):
-        return [correct(model)]
+        return [*(calibrated_actions(model, rows, model)[:1] if noted(data, BEYOND) else []), correct(model)]
     if data["refit"] == "none":
         return [Action("See whether only the base pose has changed:", f"armcal validate {model} {rows}")]
     asked = f"armcal validate {model} {rows} --refit offsets"
     moved = Action("See whether the zeros of the joints have moved, and what refitting them gains:", asked)
-    which = f"joint_offsets,base{',tool' * ('measured points' in refitted_in_words(data))}"
-    zeros = Action("Find the zeros of the joints again:", f"armcal identify {model} {rows} --only {which}")
     return [*([] if data["refit"] == "offsets" else [moved]), zeros]
 
 
@@ -304,12 +309,14 @@ def validation_verdict(data: Data, model: str = "the model", rows: str = "") -> 
     better;  model, rows : names of files"""
     seen, unit, drawn = FITTED in data["notes"], data.get("reading_unit", "mm"), data["rms_nominal_mm"]
     which = f"{rows}, which it was fitted to," if seen else f"{rows},"
-    which = which if rows else "the model's own measurements," if seen else "other measurements,"
+    others = "measurements that are in part the model's own," if noted(data, AMONG) else "other measurements,"
+    which = which if rows else "the model's own measurements," if seen else others
     figures = f"from {drawing_in_words(drawn, data['refit_nominal'], unit)} to {in_a_sentence(data['rms_mm'])} {unit}"
     gain = 1.0 - data["rms_mm"] / drawn if drawn else 0.0
     share = f"{100.0 * gain:.{1 if gain >= 0.995 else 0}f}" if gain < 0.9995 else "more than 99.9"
     chance = "" if is_better(data) else f", which {BY_CHANCE}"
     worth = f"{share} % of the error is removed{chance}" if gain > 0.0 else "no better than the drawing"
+    worth += f", and what is left is {BEYOND}" * (data["refit"] == "base" and noted(data, BEYOND))
     worth = "this says nothing about others" if seen else worth
     most = f"95 % of the errors are below {in_a_sentence(data['p95_mm'])} {unit}"
     return f"On {count_of(data['rows'], 'row')} of {which} {model} takes the RMS error {figures}: {worth}; {most}."
@@ -317,7 +324,12 @@ def validation_verdict(data: Data, model: str = "the model", rows: str = "") -> 
 
 def is_better(data: Data) -> bool:
     """Whether the model is better than the drawing, by more than the rows scatter."""
-    return data["rms_mm"] < data["rms_nominal_mm"] and not any(BY_CHANCE in note for note in data["notes"])
+    return data["rms_mm"] < data["rms_nominal_mm"] and not noted(data, BY_CHANCE)
+
+
+def noted(data: Data, words: str) -> bool:
+    """Whether a note of `validate` has these words."""
+    return any(words in note for note in data["notes"])
 
 
 def refitted_in_words(data: Data) -> str:

@@ -12,7 +12,10 @@ from identification import Arm, DHRow, chain_of
 from identification.compensate import Compensation
 from identification.document import Sheet
 from identification.documents.identification import (
+    AMONG,
+    BEYOND,
     FITTED,
+    ZEROS,
     corrected_section,
     identification_actions,
     identification_verdict,
@@ -51,11 +54,15 @@ def test_a_fit_and_a_validation_in_a_sentence_each() -> None:
     assert f"{drawing} 0.250 mm" in identification_verdict(fit | {"rms_drawing_mm": 1.0})
     assert f"{drawing[:10]}px" in identification_verdict(fit | {"rms_drawing_mm": 1.0, "reading_unit": "px"})
     figures = {"rows": 7, "rms_mm": 0.1, "p95_mm": 0.2, "rms_nominal_mm": 1.0, "refit_nominal": "base", "notes": []}
+    figures["refit"] = "base"
     said = validation_verdict(figures | {"notes": [FITTED]}, "c.toml", "d.csv")
     assert said.startswith(f"On 7 rows of d.csv, which it was fitted to, c.toml takes the RMS error {drawing} 0.100 mm")
     assert "this says nothing about others" in said
     assert "removed" not in said
     assert "more than 99.9 % of the error is removed" in validation_verdict(figures | {"rms_mm": 1e-5})
+    said = validation_verdict(figures | {"notes": [f"60 % are {AMONG}", f"0.1 mm is {BEYOND}"]})
+    assert said.startswith("On 7 rows of measurements that are in part the model's own, ")
+    assert "90 % of the error is removed, and what is left is more than the file promises" in said
     left_out = identification_verdict(fit | {"cross_validated_mm": 2.0})
     assert left_out.endswith("to 0.250 mm; for postures left out of the fit it is 2.00 mm (noise included).")
 
@@ -79,6 +86,11 @@ def test_what_follows_from_a_validation_and_from_a_fit() -> None:
         data = {"rms_mm": 1.0, "rms_nominal_mm": 2.0 if better else 1.0, "refit": how, "notes": [], "refitted": []}
         actions = validation_actions(data, "m.toml", "d.csv")
         assert [action.command for action in actions] == expected
+    good, look = {**data, "rms_nominal_mm": 2.0}, "armcal diagnose m.toml d.csv --report gap.html"
+    for how in ("base", "offsets", "none"):  # zeros that are in no file come before commands from the file
+        for notes, expected in (([f"1 mm is {BEYOND}; 0.1 mm {ZEROS}"], [again]), ([f"1 mm is {BEYOND}"], [look, use])):
+            actions = validation_actions(good | {"refit": how, "notes": notes}, "m.toml", "d.csv")
+            assert [action.command for action in actions] == expected
     in_cups = data | {"refitted": [{"name": "tool[1].x"}, {"name": "cup[A].x"}]}  # where no row places the base
     assert validation_actions(in_cups, "m.toml", "d.csv")[-1].command == f"{again},tool"
     first = identification_actions({"warnings": []}, "a.toml", "d.csv", None, diagnosed=False)

@@ -26,6 +26,7 @@ from identification import (
 )
 from identification.arm import Arm, Calibration, EffectSpec, ErrorCurve
 from identification.compensate import compensate
+from identification.documents.identification import BEYOND, ZEROS
 from identification.estimation.doubts import left_out_residuals
 from identification.estimation.uncertainty import chance_of_gain
 from identification.gap.library_prior import library_prior
@@ -144,6 +145,20 @@ def test_offsets_refit_every_joint_offset() -> None:
     oracle = least_squares(residuals, np.r_[OFFSETS, 0.0, 0.0], xtol=1e-14, ftol=1e-14)
     found = validate(calibrated(), Measurements(q, measured), "offsets")
     assert found.model.rms == pytest.approx(np.sqrt(2.0 * oracle.cost / 50), rel=1e-9)
+
+
+def test_zeros_that_moved_leave_more_than_the_file_promises() -> None:
+    """After a motor was changed, the base as it was; not where other rows are as good, or noisier by half."""
+    q, noise = postures(120, 5), np.random.default_rng(8).normal(0.0, 0.1, (120, 2))
+    arm = estimate(Model(calibrated()), Measurements(q[:80], (tip(q) + noise)[:80])).calibrated_arm()
+    for moved, times in ((0.0, 1.0), (0.0, 1.5), (0.005, 1.0), (0.0, 4.0)):
+        rows = Measurements(q[80:], (tip(q + moved * np.eye(4)[2]) + times * noise)[80:])
+        for refit in ("base", "offsets", "none"):
+            found = validate(arm, rows, refit)
+            said = [note for note in found.notes if BEYOND in note]
+            assert len(said) == (moved > 0.0 or times > 2.0)
+            assert any(ZEROS in note for note in said) is (moved > 0.0)
+            assert 0.14 < found.promised < 0.2  # of two coordinates, each with 0.1 mm
 
 
 def test_each_session_has_its_own_base() -> None:
