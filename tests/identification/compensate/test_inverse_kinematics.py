@@ -126,8 +126,7 @@ def test_a_posture_a_turn_beyond_the_limits_is_the_same_posture() -> None:
     limits, exact = np.radians([170.0, 170.0]), Calibration.of(np.zeros(2), np.zeros(2))
     arm = Arm([300.0, 200.0], lower=-limits, upper=limits, calibration=exact)
     wanted, read = np.radians([[137.0, -60.0]]), np.radians([[-223.0, 300.0]])
-    goals = Model(arm).position(wanted, np.zeros(4))
-    assert compensate(arm, goals, read).commands == pytest.approx(wanted, abs=1e-6)
+    assert compensate(arm, Model(arm).position(wanted, np.zeros(4)), read).commands == pytest.approx(wanted, abs=1e-6)
 
 
 def test_nominal_postures_thousands_of_turns_away() -> None:

@@ -285,9 +285,8 @@ def test_the_drop_is_the_squared_distance_in_combined_deviations() -> None:
         others = np.delete(np.arange(6), k)
         precision = np.zeros((6, 6))
         precision[np.ix_(others, others)] = np.linalg.inv(earlier.covariance[np.ix_(others, others)])
-        center = np.where(np.arange(6) == k, 0.0, means(earlier))
         mixed = np.linalg.inv(information + precision)
-        at = mixed @ (information @ alone + precision @ center)
+        at = mixed @ (information @ alone + precision @ np.where(np.arange(6) == k, 0.0, means(earlier)))
         given = earlier.covariance[k, others] @ np.linalg.inv(earlier.covariance[np.ix_(others, others)])
         slope = np.zeros(6)
         slope[k], slope[others] = 1.0, -given  # the prior of k given the others: slope @ (x - m) has this variance

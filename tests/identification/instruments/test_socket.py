@@ -221,8 +221,7 @@ def test_rounding_is_that_of_an_arm_although_nothing_is_read() -> None:
     data = rows(Exponentials(generator), CUPS, 15, NOISE, generator)
     model = placed_model(Model(with_sessions(Arm(replace(drawing(), instrument=Socket())), data)), data)
     here, away = (Problem.of(model, replace(data, postures=data.postures + k)) for k in (0.0, 2.0 * np.pi))
-    differ = np.linalg.norm(here.residuals(here.start) - away.residuals(here.start))
-    assert 0.0 < differ < here.rounding[0] < 1e-9
+    assert 0.0 < np.linalg.norm(here.residuals(here.start) - away.residuals(here.start)) < here.rounding[0] < 1e-9
 
 
 def test_a_slide_across_an_axis_tells_the_size() -> None:

@@ -219,10 +219,9 @@ def test_known_parameters_are_left_out_and_used() -> None:
     model = Model(Arm([200.0, 100.0], effects=(effect,)), held={"length_error:1": 2.0})
     assert model.names == ("length_error:2", "joint_offset:1", "joint_offset:2", "encoder_eccentricity:2.b")
     assert model.closed_form is None or not model.closed_form.exact
-    q = np.array([[0.3, -0.8]])
     angle = 0.3 - 0.8 + 0.01 * np.cos(-0.8)
     expected = [202 * np.cos(0.3) + 100 * np.cos(angle), 202 * np.sin(0.3) + 100 * np.sin(angle)]
-    np.testing.assert_allclose(model.position(q)[0], expected, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(model.position(np.array([[0.3, -0.8]]))[0], expected, rtol=0, atol=1e-12)
 
 
 def test_wrong_shapes_and_names_are_input_errors() -> None:

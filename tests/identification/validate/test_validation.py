@@ -60,8 +60,7 @@ def postures(m: int, seed: int, width: float = 1.5) -> np.ndarray:
 
 
 def calibrated(*effects: EffectSpec) -> Arm:
-    values = {"encoder_eccentricity:2.a": A, "encoder_eccentricity:2.b": B}
-    calibration = Calibration.of(ERRORS, OFFSETS, values)
+    calibration = Calibration.of(ERRORS, OFFSETS, {"encoder_eccentricity:2.a": A, "encoder_eccentricity:2.b": B})
     return Arm(LENGTHS, effects=(EffectSpec("encoder_eccentricity", 2), *effects), calibration=calibration)
 
 
@@ -125,9 +124,8 @@ def test_figures_of_the_drawing_are_those_of_a_rigid_motion() -> None:
     after = rigid(tip(q), measured)
     assert data["rms_mm"] == pytest.approx(np.sqrt(np.mean(after**2)), rel=1e-9)
     assert (data["p95_mm"], data["max_mm"]) == pytest.approx((np.percentile(after, 95), np.max(after)), rel=1e-6)
-    page = validate(calibrated(), Measurements(q, measured))._repr_html_()
     figures = [np.sqrt(np.mean(after**2)), np.mean(after), np.percentile(after, 95), np.max(after)]
-    row = re.sub(r" data-heading=\"[^\"]*\"", "", page)
+    row = re.sub(r" data-heading=\"[^\"]*\"", "", validate(calibrated(), Measurements(q, measured))._repr_html_())
     assert "<td>model</td>" + "".join(f"<td>{value:.4f}</td>" for value in figures) in row
 
 
@@ -267,9 +265,8 @@ def test_another_set_up_keeps_the_geometry_of_curves_in_space() -> None:
         f"base.{axis}": values[f"base.{axis}"] - x for axis, x in zip("xyz", axes, strict=True)
     }
     bent = q[:40] + curve.at(q[:40, 1])[:, None] * [0.0, 1.0, 0.0, 0.0]
-    drawn = Arm(chain)
     places = [
-        Model(replace(drawn, calibration=Calibration(v))).position(rows)
+        Model(replace(Arm(chain), calibration=Calibration(v))).position(rows)
         for v, rows in ((values, bent), (without, q[40:]))
     ]
     there = np.concatenate(places)
@@ -298,8 +295,7 @@ def session(drift: float, backlash: float, seed: int = 3, m: int = 80) -> Measur
     model = Model(ARM.with_effects(*ARM.effects, EffectSpec("base_drift"), EffectSpec("backlash", 2)))
     values = {"base_drift.vx": drift, "base_drift.vy": -drift, "backlash:2.b": backlash, "length_error:1": 0.8}
     q, order = rng.uniform(-2.5, 2.5, (m, 3)), np.arange(m, dtype=float)
-    bare = Measurements(q, np.zeros((m, 2)), order)
-    exact = model.position(q, model.parameters.vector(values), bare.conditions)
+    exact = model.position(q, model.parameters.vector(values), Measurements(q, np.zeros((m, 2)), order).conditions)
     return Measurements(q, exact + 0.05 * rng.standard_normal((m, 2)), order)
 
 
@@ -333,9 +329,8 @@ def test_rows_between_the_data_have_the_drift_of_their_time() -> None:
     assert offered is not None
     assert (offered["by"], offered["refitted"], offered["better"]) == ("holdout", False, True)
     assert (offered["rms_mm"], offered["rms_geometry_mm"]) == (gap.held_out_after, gap.held_out_before)
-    over = session(0.0, 6e-4, seed=9)
     geometry = replace(ARM, calibration=estimate(Model(ARM), own).calibration())
-    model, alone = (validate(arm, over).model.rms for arm in (found.extended_arm(), geometry))
+    model, alone = (validate(arm, session(0.0, 6e-4, seed=9)).model.rms for arm in (found.extended_arm(), geometry))
     assert model == pytest.approx(offered["rms_mm"], rel=0.3)  # 27 rows: three standard errors
     assert alone > 1.5 * model
 
