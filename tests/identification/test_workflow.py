@@ -89,10 +89,23 @@ def test_each_file_is_a_session_and_none_is_given_twice(folder: Path) -> None:
     lengths = [folder / f"{day}.csv" for day in ("monday", "tuesday")]
     for path in lengths:
         path.write_text("q1_deg,q2_deg,distance_mm\n10,20,300\n20,50,310\n")
-    centers = with_sessions(bar, load_sessions(lengths, bar)).chain.instrument.targets
-    assert [*centers] == ["monday", "tuesday"]
+    assert [*with_sessions(bar, load_sessions(lengths, bar)).chain.instrument.targets] == ["monday", "tuesday"]
     with pytest.raises(InputError, match="given 2 times"):
         load_sessions([names[0], names[0]], arm)
+
+
+def test_zeros_that_moved_are_found_again_before_commands(folder: Path) -> None:
+    """By `validate` and by a report on the same files, whatever of the drawing's error the calibration removes."""
+    files = folder / "calibrated.toml", folder / "other.csv"
+    for moved, last in ((0.0, "compensate"), (0.002, "identify")):
+        for seed, path in enumerate((folder / "data.csv", files[1])):
+            rng = np.random.default_rng(seed)
+            q, noise = rng.uniform(-2.0, 2.0, (30, 2)), rng.normal(0.0, 0.01, (30, 2))
+            there = Model(REAL).position(q + seed * moved * np.eye(2)[1]) + noise
+            path.write_text(measurement_text(Measurements(q, there)))
+        identify_files(folder / "arm.toml", folder / "data.csv", out=Written(files[0]), force=True)
+        for document in (validate_files(*files).document, campaign_document(files)[0]):
+            assert [action.command.split()[1] for action in document.actions][-1] == last
 
 
 def test_every_verb_says_what_it_is_for() -> None:
@@ -104,8 +117,7 @@ def test_every_verb_says_what_it_is_for() -> None:
         text = inspect.getdoc(function) or ""
         for parameter in inspect.signature(function).parameters.values():
             if parameter.kind is inspect.Parameter.KEYWORD_ONLY:
-                everywhere = "seed progress page allowed force package_dir"
-                provided = parameter.name in everywhere.split()
+                provided = parameter.name in ["seed", "progress", "page", "allowed", "force", "package_dir"]
                 assert provided == (f"\n{parameter.name} : " not in text), (name, parameter.name)
 
 
