@@ -457,8 +457,7 @@ def slack_of(each: Constraint, constraints: Sequence[Constraint]) -> Array:
     if isinstance(each, Clearance):
         return np.where(each.of_sight, np.inf, (1.0 - MOVING) * each.asked + ROUNDING)
     all_along = clearance_of(constraints) is not None and each.kind in KINDS and each.kind != "joint_limits"
-    at_ends = np.inf if each.kind == "line_of_sight" else ROUNDING
-    return np.full(each.count, WALL if all_along else at_ends)
+    return np.full(each.count, WALL if all_along else (np.inf if each.kind == "line_of_sight" else ROUNDING))
 
 
 def room_of(model: Any, constraints: Sequence[Constraint], share: float = 1.0) -> Room:

@@ -141,9 +141,8 @@ def solve(
 
         def tell() -> None:
             first = not np.isfinite(best_value)
-            waited = min(1.0, (perf_counter() - began) / max(deadline - began, 1e-9))
             # starts, or time, whichever has more behind it
-            used = max(done, waited * whole.starts)
+            used = max(done, min(1.0, (perf_counter() - began) / max(deadline - began, 1e-9)) * whole.starts)
             progress(used, whole.starts, "the first plan" if first else f"best {best_value:.7g}")
 
         whole = Budget(starts or chosen.starts_for(problem), deadline, tell)

@@ -351,8 +351,7 @@ def likeliest(problem: Problem, x: Array, residual: Array, jacobian: Array) -> t
     spare = problem.equations - int(np.count_nonzero(~held))
     target, jacobian = (a - basis @ (basis.T @ a) for a in (target, jacobian[:, held]))
     has_sigma = problem.sigma is not None or holds
-    scatter = float(np.linalg.norm(target)) / np.sqrt(max(spare, 1))  # without all that has a prior
-    unit = 1.0 if has_sigma else max(scatter, 1e-12)
+    unit = 1.0 if has_sigma else max(float(np.linalg.norm(target)) / np.sqrt(max(spare, 1)), 1e-12)  # without priors
     if spare == 0:
         return unit, (1.0, 1.0, 1.0)
     # as many rows as columns say the same of every width

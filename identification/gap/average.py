@@ -46,12 +46,11 @@ class PredictingModel(Fitted):
         return replace(self, covariance=self.covariance + max(square, 0.0) * self.spread)
 
 
-def geometry(base: Fitted) -> PredictingModel:
-    """The base model as a predicting model."""
-    covariance, columns = base.covariance, base.linearized[1]
-    unit = float(np.sum((columns @ covariance) * columns)) / len(columns)
-    spread = covariance / max(unit, 1e-300)
-    return PredictingModel(base.model, base.values, base.rows, covariance, base.sigma, max(base.freedom, 1), spread)
+def as_fitted(fit: Fitted, specs: Sequence[EffectSpec] = ()) -> PredictingModel:
+    """A least-squares fit as a predicting model;  specs : its effects beyond the base's"""
+    covariance, columns, freedom = fit.covariance, fit.linearized[1], max(fit.freedom, 1)
+    spread = covariance / max(float(np.sum((columns @ covariance) * columns)) / len(columns), 1e-300)
+    return PredictingModel(fit.model, fit.values, fit.rows, covariance, fit.sigma, freedom, spread, tuple(specs))
 
 
 def averaged(posterior: Posterior, coordinates: int) -> tuple[PredictingModel, Array, Posterior]:

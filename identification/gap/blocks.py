@@ -11,7 +11,7 @@ the addition with respect to the effect's parameter). One CasADi function gives 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import product
@@ -136,12 +136,6 @@ class Library:
         models = self.base, model
         of_effects = ([p.name for e in each.effects[: len(self.base.effects)] for p in e.parameters] for each in models)
         return dict(zip(*of_effects, strict=True))
-
-    def without(self, labels: Collection[str]) -> Library:
-        """Without families that explain something with negative values alone."""
-        why = "its values would have to be negative (does [gravity] point the right way?)"
-        skipped = {**self.skipped, **dict.fromkeys(labels, why)}
-        return replace(self, members=tuple(b for b in self.members if b.label not in labels), skipped=skipped)
 
     def with_further_orders(self, at: Fitted, chosen: Sequence[Block]) -> Library:
         """The library with the ripple of further order that explains most at each joint, and its neighbors, if it is
@@ -292,8 +286,7 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Lib
                 reasons[spec.key] = "the joint slides, or hardly moves the measured point"
                 continue
             scope = Scope(arm, joint) if rows is None else Scope(arm, joint, rows.postures, rows.conditions)
-            scans = [setting.scan(scope) for setting in cls.settings.values()]
-            tried, blocks = [*product(*scans)], list[Block]()
+            tried, blocks = [*product(*(setting.scan(scope) for setting in cls.settings.values()))], list[Block]()
             for chosen in tried:
                 entry = replace(spec, values=dict(zip(cls.settings, chosen, strict=True)))
                 block = Block.of(arm, entry, cls.prior / len(tried), kinds)

@@ -260,9 +260,13 @@ class HeldOut:
         # the variance that white Gaussian noise gives
         white = 2.0 * float(np.mean(squares)) ** 2 / max(model.freedom, 1)
         left, added = mean_of(squares, groups_of(data, kept), white), held_out.parameter_part(model)
-        scale = noise_factor * len(squares) * model.model.dimension / max(model.freedom, 1)
-        predicted = Mean(scale * left.value + added.value, scale**2 * left.variance + added.variance, left.freedom)
-        sigma = float(np.sqrt(scale * left.value / after.shape[1]))
+        scale, d = noise_factor * len(squares) * model.model.dimension / max(model.freedom, 1), after.shape[1]
+        expected, given = scale * left.value, model.model.arm.sigma if data.sigma is None else data.sigma[kept]
+        if given is not None and self.rows.sigma is not None:  # what the data's sigma says is noise is other noise here
+            noise, here = (d * float(np.mean(np.square(sigma))) for sigma in (given, self.rows.sigma))
+            expected += min(expected, noise) * (here / noise - 1.0)
+        predicted = Mean(expected + added.value, scale**2 * left.variance + added.variance, left.freedom)
+        sigma = float(np.sqrt(expected / d))
         file, groups = self.rows.provenance.get("file") if self.transfer == SESSION else None, groups_of(self.rows)
         test = confirm(before, after, predicted, sigma, groups, self.transfer, "holdout", LEVEL, named, file, refitted)
         if (given := model.model.arm.sigma if self.rows.sigma is None else self.rows.sigma) is None:

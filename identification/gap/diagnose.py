@@ -13,7 +13,7 @@ from identification.estimation.problem import check_measurements
 from identification.estimation.repeats import Finding, misfit, noise_floor, repeat_finding
 from identification.estimation.uncertainty import outlying, together
 from identification.gap.across_sessions import replications
-from identification.gap.average import averaged, geometry
+from identification.gap.average import BENT, as_fitted, averaged
 from identification.gap.blocks import hypotheses
 from identification.gap.confirmation import Gap, HeldOut, cross_validation
 from identification.gap.detectability import assess, look_alikes, require_spare
@@ -62,7 +62,7 @@ def diagnose(
     require_spare(base.freedom, len(rows))
     held_out = None if holdout is None else HeldOut.of(holdout, measurements)
     if held_out is not None:
-        held_out.check_same_arm(geometry(base), measurements)
+        held_out.check_same_arm(as_fitted(base), measurements)
     shares = iter(np.linspace(0.1, 0.7, 3 * PASSES + 1, endpoint=False).tolist())
     posterior = posterior_of(
         library, rows, generator, lambda text: progress(next(shares), 1.0, f"step 2 of 3: {text}"), doubtful
@@ -75,14 +75,19 @@ def diagnose(
     shows = whole.beside([whole.numbers[block.label] for block in best.blocks if block.rows])
 
     # what predicts best, and what it leaves
-    predicting, bend, posterior = averaged(posterior, int(kept.sum()) * rows.dimension)
+    start, (predicting, bend, posterior) = posterior.at, averaged(posterior, int(kept.sum()) * rows.dimension)
     before, after = base.residuals(measurements), predicting.residuals(measurements)
     drawn = measurements.positions - base.model.position(measurements.postures, None, measurements.conditions)
-    # an average that is too far from linear may be worse than the geometry in its own rows
+    # an average that is too far from linear may be worse in its own rows than the fit of the likeliest set
     weighted = posterior.noises[best.noise].rows.pick(kept)
-    with_all, without = (float(np.linalg.norm(weighted.whiten(left[kept]))) for left in (after, before))
-    if alone := bool(predicting.specs) and with_all > without:
-        predicting, after = geometry(base), before
+    likeliest_effects = best.effects if rms_distance(bend) > BENT * predicting.sigma else ()
+    plain = fit(library.model(likeliest_effects), weighted, start.by_name) if likeliest_effects else base
+    left = plain.residuals(measurements)
+    with_all, without = (float(np.linalg.norm(weighted.whiten(each[kept]))) for each in (after, left))
+    alone = with_all > without and bool(predicting.specs) and not likeliest_effects
+    if with_all > without:
+        predicting, after = as_fitted(plain, [b.effect.spec for b in likeliest_effects if b.effect]), left
+        bend = bend if alone else np.zeros_like(bend)
     repeats = repeat_finding(after, after[kept].size - predicting.freedom, measurements, kept)
     over_sigma = misfit(after, after[kept].size - predicting.freedom, measurements, library.arm.sigma, kept)
     # residuals that scatter less than the given sigma by chance, as in `estimation.uncertainty`, promise no less noise
@@ -113,7 +118,7 @@ def diagnose(
     # tests on other rows
     tests = cross_validation(posterior, measurements, kept, generator, something, noise_factor, bend)
     if tests[0].shrinks is False and tests[0].after_mm > tests[0].before_mm:  # by more than chance
-        alone, predicting, after = True, geometry(base), before
+        alone, predicting, after = True, as_fitted(base), before
         over_sigma = misfit(after, after[kept].size - predicting.freedom, measurements, library.arm.sigma, kept)
     judged = base, predicting, measurements, kept, something, noise_factor
     confirmation = None if held_out is None else held_out.test(*judged)
@@ -169,8 +174,7 @@ def diagnose(
         replication=tuple(replications(fitted, measurements.session_names, named.effects)),
         curves=curves,
     )
-    searched = min(MOST_ROWS, len(measurements))
-    said = remarks(result, posterior.library.skipped, searched, fitted.status, alone)
+    said = remarks(result, posterior.library.skipped, min(MOST_ROWS, len(measurements)), fitted.status, alone)
     result = replace(result, notes=(*said, *gap_notes(measurements)))
     progress(1.0, 1.0, result.sentence)
     return result

@@ -107,8 +107,7 @@ class Rows:
             numbers, counts = self.posture_numbers, np.bincount(self.posture_numbers)
             sums = np.zeros((len(counts), *values.shape[1:]))
             np.add.at(sums, numbers, values)
-            taken = (1.0 - (1.0 + counts * self.shared) ** -0.5) / counts
-            values = values - (sums * taken[:, None, None])[numbers]
+            values = values - (sums * ((1.0 - (1.0 + counts * self.shared) ** -0.5) / counts)[:, None, None])[numbers]
         if self.correlation:  # from each row what the previous one predicts, for a first-order autoregression
             rho, order = self.correlation, self.sequence
             ordered = values[order] / np.sqrt(1.0 - rho**2)

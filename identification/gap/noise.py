@@ -45,18 +45,17 @@ def noises(at: Fitted) -> Iterator[NoiseModel]:
     shapes["time_noise"] = (time - time.min() + 1e-9)[:, None, None] * np.eye(d)
     traces = {name: float(np.einsum("mii->", shape)) for name, shape in shapes.items()}
     forms = {name: shape * (d * m / traces[name]) for name, shape in shapes.items() if traces[name] > 0.0}
-    joints = sum(name.startswith("joint") for name in forms)
     yield NoiseModel("", 0.0, rows, 0.0)
     for name, form in forms.items():
         signs = (1.0, -1.0) if name == "time_noise" else (1.0,)
-        kinds = (joints if name.startswith("joint") else 1) * len(RATIOS) * len(signs)
+        alike = sum(other.startswith("joint") for other in forms) if name.startswith("joint") else 1
         for sign in signs:
             values, vectors = np.linalg.eigh(form if sign > 0.0 else form.max() * np.eye(d) - form)
             for ratio in RATIOS:
                 deviations = np.sqrt(1.0 + ratio * np.maximum(values, 0.0))
                 spread = vectors * deviations[:, None, :] @ vectors.transpose(0, 2, 1)
                 uneven = replace(rows, spread=spread if rows.spread is None else rows.spread @ spread)
-                yield NoiseModel(name, sign * ratio, uneven, float(np.log(UNEVEN / kinds)))
+                yield NoiseModel(name, sign * ratio, uneven, float(np.log(UNEVEN / alike / len(RATIOS) / len(signs))))
     for rho in CORRELATIONS:
         # errors that stay alike for a fifth of the session are likelier a drift, which is a block of time
         prior = float(np.log((UNEVEN if (1.0 - rho) * m >= 5.0 else LASTING) / len(CORRELATIONS)))

@@ -326,7 +326,8 @@ class Diagnosis(Documented):
         """The arm with the effects of the predicting model (or of `candidate`) added, calibrated by it: all estimates,
         with the verdict, its rivals and its confirmation as provenance; where it stood in the first session, or in all
         of them."""
-        chosen, arm = candidate or self.predicting, self.in_sessions if in_sessions else self.arm
+        chain = replace(self.arm.chain, tools=self.in_sessions.chain.tools)  # later sessions may have further points
+        chosen, arm = candidate or self.predicting, self.in_sessions if in_sessions else replace(self.arm, chain=chain)
         fitted = chosen.calibration if in_sessions else without_sessions(chosen.calibration)
         entries: dict[str, Any] = {name: value for name, value in self.measurements.origin.items() if name != "rows"}
         entries |= {"verdict": self.verdict, "sentence": self.sentence}

@@ -27,6 +27,7 @@ from identification.gap.fit import Fitted, Rows, fit
 from identification.gap.likelihood import SIZES, Key, Products, State
 from identification.gap.noise import NoiseModel, log_likelihoods, noises
 from identification.information import VISIBLE, spectrum
+from identification.model import Model
 
 TAIL = 3.0  # prior: p(K) ~ K^-TAIL, so p(2) / p(1) = 1/8, but p(15) / p(14) = 0.81: many effects suggest further ones
 WRONG = 0.0005  # prior odds of a row to be outlying: clean sessions of 60 rows seldom lose one, 15 sigma always show
@@ -50,9 +51,12 @@ Weighed = tuple[Key, float]  # a set with its likeliest sizes, and its log poste
 
 
 class Search:
-    """The sets of blocks of one linearized problem;  total : weight of all blocks, where these are some of them"""
+    """The sets of blocks of one linearized problem;  total : weight of all blocks, where these are some of them;
+    at : model of the fit that it is linear about"""
 
-    def __init__(self, products: Products, blocks: Sequence[Block], total: float = 0.0) -> None:
+    def __init__(
+        self, products: Products, blocks: Sequence[Block], total: float = 0.0, at: Model | None = None
+    ) -> None:
         self.products, self._tables = products, dict[Key, Array]()
         self.counted = np.array([not b.rows for b in blocks], dtype=bool)  # (B,) that count among the K
         weights = np.array([b.weight for b in blocks])
@@ -64,17 +68,16 @@ class Search:
         for k, b in enumerate(blocks):
             family = families.get(b.key.partition(":")[0], k)
             self.apart[family, k] = self.apart[k, family] = family != k
-        # (B,) that show only through one of others, beside which alone they may be
+        # (B,) that show only through those in the fit, beside all of which alone they are what their columns say
         self.needy = np.array([b.through != "" for b in blocks], dtype=bool)
         kinds = {b.through for b in blocks if b.through}
-        self.givers = ~self.needy & [
-            b.effect is not None and b.listed and not kinds.isdisjoint(b.effect.needs) for b in blocks
-        ]
+        giving = [] if at is None else [e.label for e in at.effects if not kinds.isdisjoint(e.needs)]
+        self.givers = ~self.needy & np.isin([b.label for b in blocks], giving)
 
     def log_prior(self, blocks: Sequence[int]) -> float:
         """Log prior odds of a set against nothing missing; -inf where it may not be."""
         inside = list(blocks)
-        alone = self.needy[inside].any() and not self.givers[inside].any()
+        alone = self.needy[inside].any() and np.count_nonzero(self.givers[inside]) < np.count_nonzero(self.givers)
         if alone or self.apart[np.ix_(inside, inside)].any():
             return -np.inf
         return log_odds_of_count(int(np.sum(self.counted[inside]))) + float(np.sum(self._log_weights[inside]))
@@ -195,8 +198,8 @@ class Search:
             count = int(np.sum(self.counted[inside]))
             step = np.where(self.counted, log_odds_of_count(count + 1) - log_odds_of_count(count), 0.0)
             prior, barred = step + self._log_weights, self.apart[inside].any(axis=0)
-            if not self.givers[inside].any():
-                barred |= ~self.givers if self.needy[inside].any() else self.needy
+            if lacking := np.count_nonzero(self.givers) - np.count_nonzero(self.givers[inside]):
+                barred |= (~self.givers | (lacking > 1)) if self.needy[inside].any() else self.needy
             prior[barred], prior[inside] = -np.inf, -np.inf
             of_size = np.where(self.counted[:, None], log_odds_of_sizes(self._sizes(left))[1], -np.log(len(SIZES)))
             self._tables[left.key] = self.products.added(left) + prior[:, None] + of_size
@@ -342,7 +345,7 @@ def posterior_of(
         every = [n for n in noises(here) if not names or n.name in names]
         number = next(k for k, n in enumerate(every) if (n.name, n.size) == noise)
         problem = linearized(library, at.on(every[number].rows), wrong)
-        search, before = Search(problem.products, problem.blocks), [*chosen]
+        search, before = Search(problem.products, problem.blocks, at=at.model), [*chosen]
         top = _same_set(problem, chosen)
         # from sizes in the middle, as those of the last linearization would hold the climb where it was; of rows from
         # the largest, as each that is held back leaves so much that no other grows
@@ -378,7 +381,10 @@ def posterior_of(
                 without = fit(library.model(effects), at.rows, at.by_name)
                 gain = len(at.residual) * float(np.log(np.linalg.norm(without.residual) / np.linalg.norm(at.residual)))
                 if gain < 3.0:  # convention: e^3 = 20 times as likely; held at its bounds it explains nothing
-                    at, library = without, library.without(families)
+                    why = "its values would have to be negative (does [gravity] point the right way?)"
+                    skipped = {**library.skipped, **dict.fromkeys(families, why)}
+                    members = tuple(b for b in library.members if b.label not in families)
+                    at, library = without, replace(library, members=members, skipped=skipped)
                     chosen = {label: size for label, size in chosen.items() if label not in families}
         wider = library.with_further_orders(at.on(every[best].rows), effects)
         if few is not rows and turn == passes - 1:
@@ -394,12 +400,12 @@ def posterior_of(
     for k in taken:
         tell(f"sets of effects{', noise: ' + every[k].name if every[k].name else ''}")
         under = problem if k == number else linearized(library, at.on(every[k].rows), wrong)
-        top, search = _same_set(under, chosen), Search(under.products, under.blocks)
+        top, search = _same_set(under, chosen), Search(under.products, under.blocks, at=at.model)
         near = search.near(top)
         if 2 * len(near) <= len(under.blocks):  # else what was computed serves the walk, too
             total, place = search.total, {b: i for i, b in enumerate(near)}
             under = under.of(near)
-            search = Search(under.products, under.blocks, total)
+            search = Search(under.products, under.blocks, total, at.model)
             top = under.products.state([(place[b], size) for b, size in top.key])
         sets, drawn = search.walk(top, generator)
         listed += [(len(problems), key, odds + float(each[0][k])) for key, odds in sets]

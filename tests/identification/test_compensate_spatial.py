@@ -100,8 +100,7 @@ TRUTH = replace(ARM, effects=SPECS, calibration=Calibration.of([0.4, -0.3], [0.0
 
 
 def data(rows: int = 40) -> Measurements:
-    postures = np.random.default_rng(1).uniform(-2.0, 2.0, (rows, 2))
-    return simulate(TRUTH, postures, np.random.default_rng(2))
+    return simulate(TRUTH, np.random.default_rng(1).uniform(-2.0, 2.0, (rows, 2)), np.random.default_rng(2))
 
 
 def test_what_a_controller_leaves() -> None:
@@ -133,7 +132,6 @@ def test_commands_are_asked_for_so_that_the_joints_are_read_right() -> None:
     nominal = np.random.default_rng(3).uniform(-1.5, 1.5, (30, 2))
     targets = Model(ARM).position(nominal)
     for arm, off in ((TRUTH, 0.0), (replace(TRUTH, effects=()), 0.07)):
-        commands = compensate(arm, targets, nominal).commands
-        there = simulate(TRUTH, commands, np.random.default_rng(4), sigma=0.0)
+        there = simulate(TRUTH, compensate(arm, targets, nominal).commands, np.random.default_rng(4), sigma=0.0)
         missed = np.linalg.norm(there.positions - targets, axis=1)
         assert missed.max() < 2e-6 if off == 0.0 else missed.max() > off

@@ -92,11 +92,9 @@ def test_sparse_basis_finds_disjoint_blocks(seed: int, size: int, blocks: int) -
     for k in range(blocks):
         planted[k * size : (k + 1) * size, k] = generator.uniform(0.3, 1.0, size) * generator.choice([-1, 1], size)
     planted /= np.linalg.norm(planted, axis=0)
-    mixed = planted @ np.linalg.qr(generator.normal(size=(blocks, blocks)))[0]
-    basis = sparse_basis(mixed)
+    basis = sparse_basis(planted @ np.linalg.qr(generator.normal(size=(blocks, blocks)))[0])
     for k in range(blocks):
-        cosine = abs(planted[:, k] @ basis[:, k]) / np.linalg.norm(basis[:, k])
-        assert cosine == pytest.approx(1.0, abs=1e-9)
+        assert (abs(planted[:, k] @ basis[:, k]) / np.linalg.norm(basis[:, k])) == pytest.approx(1.0, abs=1e-9)
 
 
 def test_description_rounds_and_signs() -> None:

@@ -56,8 +56,7 @@ def test_jacobian(instrument: Instrument) -> None:
 
     def by_hand(posture: Array, name: str = "", step: float = 0.0) -> float:
         point = tip_by_exponentials(chain, posture, {name: step}, REFLECTOR)
-        above = point[2] if instrument.kind == "plane" else np.linalg.norm(point)
-        return float(above - radius)
+        return float((point[2] if instrument.kind == "plane" else np.linalg.norm(point)) - radius)
 
     for row, posture in enumerate(q):
         assert read[row, 0] == pytest.approx(by_hand(posture))
@@ -95,8 +94,7 @@ def test_a_bar_in_two_sockets() -> None:
     assert "session_base.x2" in found.names
     assert "session_base.wx2" not in found.names
     assert found.chi2 == pytest.approx(found.dof, abs=4.0 * np.sqrt(2.0 * found.dof))
-    there = found.model.arm.chain
-    geometry = CorrectedGeometry(there, found.model.parameters.mapping(found.parameters))
+    geometry = CorrectedGeometry(found.model.arm.chain, found.model.parameters.mapping(found.parameters))
     np.testing.assert_array_equal(geometry.real.base[:3, :3], np.eye(3))
     again = validate(found.calibrated_arm(), Measurements(q[~first], read[~first, None]))
     assert again.model.rms < 0.015 < 0.5 < again.nominal.rms
@@ -129,8 +127,7 @@ def test_a_minimal_set_of_contacts_is_what_the_surfaces_show() -> None:
     other = touching(truth, plane(np.array([1.0, 0.0, 0.0]), 500.0), 30, generator)
     q = np.concatenate([other, touching(truth, surface, 80, generator)])
     data = Measurements(q, np.zeros((110, 1)), session=np.repeat(["a", "b"], [30, 80]))
-    arm = Arm(replace(drawing(), instrument=Plane()), sigma=0.01)
-    names = Model(practical(arm, data)).names
+    names = Model(practical(Arm(replace(drawing(), instrument=Plane()), sigma=0.01), data)).names
     assert len(names) == 23
     assert "translation_x:3" not in names
 
@@ -155,8 +152,7 @@ def test_planes_do_not_shrink_the_arm(error: float) -> None:
 def test_an_effect_is_named_by_contacts_alone() -> None:
     """Joint 3 reads what an encoder off center does. A contact has no position, and none is asked for."""
     generator = np.random.default_rng(8)
-    truth = Exponentials(generator)
-    q = touching(truth, sphere(np.array([600.0, -200.0, 300.0]), 30.0), 90, generator)
+    q = touching(Exponentials(generator), sphere(np.array([600.0, -200.0, 300.0]), 30.0), 90, generator)
     q[:, 2] += 8e-4 * np.cos(q[:, 2]) + 3e-4 * np.sin(q[:, 2])
     arm = Arm(replace(drawing(), instrument=Sphere(30.0)), sigma=0.01)
     found = diagnose(arm, Measurements(q, 0.01 * generator.standard_normal((90, 1))))
@@ -203,8 +199,7 @@ def test_an_arm_of_another_parametrization() -> None:
 def test_residuals_are_rotation_vectors() -> None:
     """Against scipy's logarithm of computed times measured."""
     generator = np.random.default_rng(3)
-    arm = Exponentials(generator)
-    data = measured(arm, 5, generator, 100.0)
+    data = measured(Exponentials(generator), 5, generator, 100.0)
     model = placed_model(Model(SIX), data)
     values = 1e-3 * generator.standard_normal(len(model.names)) / model.scales * 300.0
     position = model.position(data.postures, values, data.conditions)
@@ -290,8 +285,8 @@ def test_another_convention_is_said() -> None:
         "the instrument in the frame of the tool, by rotation vectors": turns.inv().as_rotvec(),
     }
     read = {words: Rotation.from_euler("XYZ", angles) for words, angles in columns.items()}
-    w_first = turns.as_quat()[:, [1, 2, 3, 0]]  # what is read as x, y, z, w where qw, qx, qy, qz hold x, y, z, w
-    read["quaternions in the order x, y, z, w"] = Rotation.from_quat(w_first)
+    # what is read as x, y, z, w where qw, qx, qy, qz hold x, y, z, w
+    read["quaternions in the order x, y, z, w"] = Rotation.from_quat(turns.as_quat()[:, [1, 2, 3, 0]])
     for words, as_read in read.items():
         said = data_warnings(replace(data, orientations=as_read.as_matrix()), SIX)
         assert f"they look like {words};" in said[0]

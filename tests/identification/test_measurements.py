@@ -121,8 +121,7 @@ def test_what_an_encoder_reads_of_a_joint_that_stays_is_no_motion() -> None:
 
 def test_origin_says_where_a_calibration_may_be_used() -> None:
     q = np.radians([[10.0, -20.0], [-30.0, 40.0]])
-    data = Measurements(q, np.ones((2, 2)), temperature=[20.0, 23.0], provenance={"file": "a.csv"})
-    origin = data.origin
+    origin = Measurements(q, np.ones((2, 2)), temperature=[20.0, 23.0], provenance={"file": "a.csv"}).origin
     assert len(origin.pop("digests_of_rows")) == 2 * 8  # six bytes a row, as text
     assert origin == {"file": "a.csv", "rows": 2, "mean_temperature_C": 21.5}
 

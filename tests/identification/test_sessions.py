@@ -147,8 +147,7 @@ def test_sessions_of_a_spatial_arm() -> None:
     data = pooled_sessions(parts)
     arm = Arm(replace(CHAIN, instrument=Tracker(300.0)), sigma=1e-4)
     assert data_warnings(data, arm) == []
-    model = placed_model(Model(with_sessions(arm, data)), data)
-    found = estimate(minimal(model), data)
+    found = estimate(minimal(placed_model(Model(with_sessions(arm, data)), data)), data)
     assert found.rms_after < 1e-6 < 0.1 < rms_distance(drawing_residuals(arm, data)[:, :3])  # of slips of 0.6 mm
     assert len(found.names) == 4 * 5 + 6 * 2 + 2 * 6  # axes, two tools, two bases more
     values = found.model.best_known | found.model.parameters.mapping(found.parameters)
@@ -160,10 +159,8 @@ def test_sessions_of_a_spatial_arm() -> None:
         true = [pose(place, Rotation.from_rotvec(v).as_matrix()) for place, v in zip(PLACES, STANDS, strict=True)]
         # where the base's frame is along and about joint 1's axis is a choice, the same in each session
         np.testing.assert_allclose(later @ np.linalg.inv(first), true[number - 1] @ np.linalg.inv(true[0]), atol=1e-5)
-    kept = without_sessions(found.calibration())
-    stands = Model(replace(arm, chain=found.model.arm.chain, calibration=kept))
-    there = parts["a"].conditions
-    left = parts["a"].positions - stands.position(parts["a"].postures, conditions=there)
+    stands = Model(replace(arm, chain=found.model.arm.chain, calibration=without_sessions(found.calibration())))
+    left = parts["a"].positions - stands.position(parts["a"].postures, conditions=parts["a"].conditions)
     assert np.abs(left).max() < 1e-5
     points = replace(parts["b"], positions=parts["b"].positions[:, :3], orientations=None)
     with pytest.warns(UserWarning, match="left out: orientations"):

@@ -223,8 +223,7 @@ def test_best_known_values(arm: Arm, runs: int, value: float) -> None:
 
     Fewer starts than the default find it or not by the last digit of a processor: no test asks for it.
     """
-    digits = 1e-5 if arm is FOUR else 1e-6
-    assert complex_log_det(solve(problem(arm), runs).plan.postures) >= value - digits
+    assert complex_log_det(solve(problem(arm), runs).plan.postures) >= value - (1e-5 if arm is FOUR else 1e-6)
 
 
 @pytest.mark.slow

@@ -55,8 +55,7 @@ def test_no_point_is_moved_by_it() -> None:
     moved, plain = tip_jacobian(model, Q, model.parameters.vector({C: 5.0})), tip_jacobian(Model(BAR), Q)
     assert not moved[..., model.names.index(C)].any()
     np.testing.assert_allclose(np.delete(moved, model.names.index(C), axis=-1), plain, rtol=1e-12, atol=1e-9)
-    calibrated = replace(BAR.with_effects(OFFSET), calibration=Calibration({C: 5.0}))
-    own = Model(in_own_frame(calibrated)).position(Q)
+    own = Model(in_own_frame(replace(BAR.with_effects(OFFSET), calibration=Calibration({C: 5.0})))).position(Q)
     np.testing.assert_allclose(own, Model(in_own_frame(BAR)).position(Q), rtol=1e-12, atol=1e-9)
 
 
@@ -71,8 +70,7 @@ def test_it_is_estimated_and_named() -> None:
     arm = Arm(replace(drawing(), instrument=Distance()), sigma=0.02)
     found = estimate(Model(arm.with_effects(OFFSET)), data)
     k = found.names.index(C)
-    deviation = float(np.sqrt(found.covariance[k, k]))
-    assert abs(found.parameters[k] - 0.6) < 4.0 * deviation < 0.2
+    assert abs(found.parameters[k] - 0.6) < 4.0 * float(np.sqrt(found.covariance[k, k])) < 0.2
     assert found.rms_after < 0.022
     assert diagnose(arm, data).named.effects == ("length_offset",)
 
@@ -142,8 +140,7 @@ def test_outliers_have_their_size_and_share_and_point_anywhere(
 ) -> None:
     """Of the arm that slides: `size` standard deviations each, the mean of their directions zero and of the squares of
     each coordinate 1/3; orientations are not moved; a length is too long or too short."""
-    chain = KinematicChain(ELBOW, np.eye(4), tools=tools, instrument=instrument)
-    arm = Arm(chain, sigma=0.1)
+    arm = Arm(KinematicChain(ELBOW, np.eye(4), tools=tools, instrument=instrument), sigma=0.1)
     noisy = arm.with_effects(EffectSpec("outliers", None, {"share": 0.5, "size": 20.0}))
     exact, far = (simulate(one, SETTINGS, np.random.default_rng(5), sigma=0.1) for one in (arm, noisy))
     width = 3 if instrument.reads_positions else 1

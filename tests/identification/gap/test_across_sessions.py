@@ -60,8 +60,7 @@ def test_what_returns_and_what_does_not(
     assert tuple(s["replicates"] for s in one["sessions"]) == each
     for there, size in zip(one["sessions"], sizes, strict=True):
         values, deviations = np.radians([[p["value"], p["std"]] for p in there["parameters"]]).T
-        errors = (values - [size.real, size.imag]) / deviations
-        assert np.all(np.abs(errors) < 5.0)
+        assert np.all(np.abs((values - [size.real, size.imag]) / deviations) < 5.0)
     told = {"shape": None, "misfit": None, "replication": [one]}
     assert findings(told) == [f"{'Replicates' if answer else 'Does not replicate'} across sessions: {one['effect']}."]
 

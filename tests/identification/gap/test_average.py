@@ -76,12 +76,10 @@ def regressed(given: Posterior, one: Explanation, base: Array, target: Array) ->
     columns = [given.at.rows.whiten(problem.columns[k]) @ root for k, root in zip(b, roots, strict=True)]
     sizes = np.repeat(SIZES[[size for _, size in one.key]], [root.shape[1] for root in roots])
     wide, g = np.concatenate([base, *columns], axis=1), base.shape[1]
-    precision = wide.T @ wide + np.diag(np.concatenate([np.zeros(g), sizes**-2.0]))
-    inverse = np.linalg.inv(precision)
+    inverse = np.linalg.inv(wide.T @ wide + np.diag(np.concatenate([np.zeros(g), sizes**-2.0])))
     mean = inverse @ (wide.T @ target)
     penalty = float(np.sum((mean[g:] / sizes) ** 2))
-    variance = (float(np.sum((target - wide @ mean) ** 2)) + penalty) / (len(target) - g)
-    return mean, inverse * variance, roots
+    return mean, inverse * ((float(np.sum((target - wide @ mean) ** 2)) + penalty) / (len(target) - g)), roots
 
 
 def test_the_expected_square_error_is_that_of_draws() -> None:
@@ -220,7 +218,6 @@ def test_an_average_far_from_the_fit_is_linearized_again() -> None:
     near, _, _ = averaged(given, given.at.rows.positions.size)
     values = given.at.values.copy()
     values[given.library.as_base(given.at)[1]] += [30.0, -20.0, 0.05, -0.1]  # [mm], [rad]
-    elsewhere = given.about(replace(given.at, values=values))
-    far, bend, _ = averaged(elsewhere, given.at.rows.positions.size)
+    far, bend, _ = averaged(given.about(replace(given.at, values=values)), given.at.rows.positions.size)
     assert float(np.abs(bend).max()) < 0.01
     np.testing.assert_allclose(far.errors, near.errors, rtol=0.0, atol=0.01)  # a fifth of the noise

@@ -11,7 +11,7 @@ from identification import Arm, Measurements, Model
 from identification.documents.diagnosis import holds_in_words
 from identification.effects import EffectSpec
 from identification.estimation.uncertainty import GROUPS, Mean, groups_of, mean_of
-from identification.gap.average import geometry
+from identification.gap.average import as_fitted
 from identification.gap.blocks import hypotheses
 from identification.gap.confirmation import Confirmation, HeldOut, confirm, predicted_from_others
 from identification.gap.fit import Fitted, Rows, fit
@@ -217,8 +217,7 @@ def test_residuals_do_not_shrink_by_what_is_fitted() -> None:
     """Fits of 6 + 6 values to 72 coordinates take a part of the noise, which is given back: on average over 40 sets
     the mean square is that of the noise, to 3 of its standard deviations, half of what the shrinking would take."""
     means = [float(np.mean(left_again(set_up(seed, "A", CELL, 24), CELL)[0] ** 2)) for seed in range(40)]
-    error = NOISE**2 * np.sqrt(2.0 / (72 - 12) / 40)
-    assert np.mean(means) == pytest.approx(NOISE**2, abs=3.0 * error)
+    assert np.mean(means) == pytest.approx(NOISE**2, abs=3.0 * (NOISE**2 * np.sqrt(2.0 / (72 - 12) / 40)))
 
 
 def test_held_out_rows_are_tested_against_the_given_sigma() -> None:
@@ -231,10 +230,29 @@ def test_held_out_rows_are_tested_against_the_given_sigma() -> None:
         noise[12:] *= 1.0 if seed < 200 else 1.6
         rows = Measurements(q, Model(arm).position(q) + noise)
         data, fresh = rows.rows(np.arange(12)), rows.rows(np.arange(12, 162))
-        base = geometry(fit(Model(arm), Rows.of(data)))
+        base = as_fitted(fit(Model(arm), Rows.of(data)))
         beyond.append(HeldOut.of(fresh, data).test(base, base, data, every, False, 1.0).beyond_sigma)
     assert np.mean(beyond[:200]) < 0.05 + 3.0 * np.sqrt(0.05 * 0.95 / 200)
     assert all(beyond[200:])
+
+
+@pytest.mark.parametrize("times", [0.4, 3.0])
+def test_held_out_rows_of_another_sigma_are_predicted_with_it(times: float) -> None:
+    """Of 40 sets of 60 rows and 150; what the data's own scatter is below its sigma by chance takes some 5 %."""
+    arm, ratios = Arm([200.0, 100.0], sigma=SIGMA), list[float]()
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        q, noise = rng.uniform(-3.0, 3.0, (210, 2)), SIGMA * rng.normal(size=(210, 2))
+        noise[60:] *= times
+        rows = Measurements(q, Model(arm).position(q) + noise)
+        data, fresh = (
+            rows.rows(np.arange(60)),
+            replace(rows.rows(np.arange(60, 210)), sigma=np.full(150, times * SIGMA)),
+        )
+        base = as_fitted(fit(Model(arm), Rows.of(data)))
+        tested = HeldOut.of(fresh, data).test(base, base, data, np.ones(60, dtype=bool), False, 1.0)
+        ratios.append((tested.after_mm / tested.predicted_mm) ** 2)
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.12)
 
 
 def test_points_have_the_numbers_of_the_data() -> None:
@@ -284,5 +302,5 @@ def test_what_happened_once_is_over_in_another_session() -> None:
         seen = HeldOut.of(held, data)
         assert np.abs(seen.residuals(base, base)[1]).max() < 1e-6, seen.transfer
     for held in (replace(rows, order=None), replace(later, order=None), replace(later, order=data.order)):
-        tested = HeldOut.of(held, data).test(base, geometry(base), data, np.ones(30, dtype=bool), False, 1.0)
+        tested = HeldOut.of(held, data).test(base, as_fitted(base), data, np.ones(30, dtype=bool), False, 1.0)
         assert tested.after_mm < 1e-6, tested.transfer

@@ -1,5 +1,6 @@
 """The workflow as a whole: verdicts, JSON keys, bad input."""
 
+import sys
 import tomllib
 from dataclasses import replace
 from functools import cache
@@ -14,8 +15,10 @@ from identification import Arm, EffectSpec, Gravity, InputError, Measurements, M
 from identification.documents.pictures import kept_rows
 from identification.estimation import estimate as identify
 from identification.files.arm import load_arm, with_effects
+from identification.gap.average import PredictingModel, averaged
 from identification.gap.fit import Rows, determined, fit, fitted_arm
 from identification.gap.result import Candidate, Diagnosis
+from identification.gap.search import Posterior
 from identification.model.placed import practical
 from tests.small_arm import OTHERS, drawn_arm, random_postures, small_arm
 from tests.small_arm import measured as measured_three
@@ -241,6 +244,20 @@ def test_rows_that_stand_out_beside_a_step_are_outliers_and_nothing_else(rows: l
     named = diagnose(ARM, replace(measured(None), positions=positions))
     keys = [spec.key for spec in named.named.specs]
     assert (keys, named.scatter, named.outlier_rows) == (["base_step"], (), tuple(row + 1 for row in rows))
+
+
+def test_an_average_far_from_linear_gives_way_to_the_fit(monkeypatch: pytest.MonkeyPatch) -> None:
+    expected = {name: diagnosed(name) for name in (None, "backlash")}
+
+    def bent(posterior: Posterior, coordinates: int) -> tuple[PredictingModel, np.ndarray, Posterior]:
+        best, bend, at = averaged(posterior, coordinates)
+        return replace(best, values=best.values + 1.0), bend + 100.0, at
+
+    monkeypatch.setattr(sys.modules["identification.gap.diagnose"], "averaged", bent)
+    for name, usual in expected.items():
+        found = diagnose(ARM, measured(name))
+        assert found.gap.rms_after == pytest.approx(usual.gap.rms_after, rel=0.02)
+        assert [spec.key for spec in found.predicting.specs] == [spec.key for spec in usual.named.specs]
 
 
 def test_bad_input() -> None:

@@ -33,8 +33,7 @@ def test_verdict_and_probabilities_never_contradict_each_other() -> None:
     rng, seen = np.random.default_rng(1), set()
     for _ in range(1000):
         found = drawn(rng)
-        library = sum(found.sets.values())
-        totals = {"none": found.of(()), "unknown": found.of(None), "library": library}
+        totals = {"none": found.of(()), "unknown": found.of(None), "library": sum(found.sets.values())}
         verdict = found.verdict
         seen.add(verdict)
         said = {"named": "library", "ambiguous": "library"}.get(verdict, verdict)

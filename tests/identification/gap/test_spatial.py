@@ -53,12 +53,14 @@ def test_another_reflector_in_the_hold_out() -> None:
 
 
 def test_a_reflector_mounted_anew_between_sessions_is_said_to_look_like_steps() -> None:
-    """It is 4 mm elsewhere; under a new name its place is found, and the hidden ripple is all that is named."""
+    """It is 7 mm elsewhere; under a new name its place is found, and the hidden ripple is all that is named."""
     first, second = simulated(4.0, 0.7)
     q, positions = np.vstack([first.postures, second.postures]), np.vstack([first.positions, second.positions])
     both, sessions = Measurements(q, positions), np.repeat(["a", "b"], [len(first), len(second)])
     same, new = (diagnose(ARM, replace(both, session=sessions, **named)) for named in ({}, {"marker": sessions}))
     assert new.named.effects == ("transmission_ripple:2[k=9]",)
+    tools = new.extended_arm().calibration.tools
+    assert np.linalg.norm(tools["b"][:3, 3] - tools["a"][:3, 3]) == pytest.approx(4.0 * np.sqrt(3.0), abs=0.5)
     assert any("_step:" in each for each in same.effects)
     assert any("looks like steps" in note for note in same.notes)
 

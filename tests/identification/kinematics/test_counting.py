@@ -74,8 +74,7 @@ def test_limits_hold_all_that_columns_allow(counting: Counting, random: object) 
     generator = np.random.default_rng(random.randint(0, 99))  # type: ignore[attr-defined]
     lower, upper = np.sort(generator.uniform(-3.0, 3.0, (2, n)), axis=0)
     low, high = counting.joint_limits(lower, upper)
-    corners = np.where(np.array(list(np.ndindex(*[2] * n))) == 1, upper, lower)
-    joints = counting.joints(corners)
+    joints = counting.joints(np.where(np.array(list(np.ndindex(*[2] * n))) == 1, upper, lower))
     np.testing.assert_allclose(joints.min(axis=0), low, atol=1e-12)
     np.testing.assert_allclose(joints.max(axis=0), high, atol=1e-12)
 
