@@ -204,12 +204,13 @@ class Cell {
     this.draw();
   }
 
-  // errors of the models that are wanted, the largest of all about a fifth of the reach long; returns by how much enlarged
+  // errors of the models that are wanted, the largest of them about a fifth of the reach long; returns by how much enlarged
   errors(measured, wanted) {
-    const largest = Math.max(...measured.models.flatMap(model => model.arrows.map(arrow => Math.hypot(...arrow))), 1e-9);
+    const shown = measured.models.filter(one => wanted.has(one.kind));
+    const largest = Math.max(...(shown.length ? shown : measured.models).flatMap(model => model.arrows.map(arrow => Math.hypot(...arrow))), 1e-9);
     const scale = roundNumber(0.3 * this.size / largest);
     this.arrows.clear();
-    for (const model of measured.models.filter(one => wanted.has(one.kind))) {
+    for (const model of shown) {
       const paint = this.color(`--${model.kind}`), count = model.arrows.length, place = new THREE.Group();
       const shafts = new THREE.InstancedMesh(this.rod, paint, count), heads = new THREE.InstancedMesh(this.cone ??= new THREE.ConeGeometry(1, 1, 12), paint, count);
       model.arrows.forEach((arrow, k) => {

@@ -221,15 +221,20 @@ def test_a_cell_is_stepped_through_with_keys(opened: Any, address: str) -> None:
     (x, y, _), size = seen.page.evaluate(script), canvas.bounding_box()
     canvas.click(position={"x": (x + 1.0) / 2.0 * size["width"] + 3, "y": (1.0 - y) / 2.0 * size["height"]})
     assert where.inner_text() == "Run 5, place 5 of 14"  # whose reflector was clicked
-    before = picture(seen)
+    before, scales = picture(seen), [arrow_scale(seen)]
     for box in seen.page.locator("fieldset input").all():
         box.uncheck()
         canvas.focus()
         without = picture(seen)
         assert changed(before, without) > 1e-4  # arrows go
         before = without
-    assert "times as long" in seen.page.locator("fieldset").inner_text()
+        scales.append(arrow_scale(seen))
+    assert scales[1] > 5.0 * scales[0] == 5.0 * scales[2]  # "after" alone, a tenth as large, is drawn longer
     seen.close(address)
+
+
+def arrow_scale(seen: Watched) -> float:
+    return float(seen.page.locator("fieldset").inner_text().partition("Arrows: ")[2].partition(" times as long")[0])
 
 
 def changed(one: np.ndarray, other: np.ndarray) -> float:
@@ -308,15 +313,13 @@ def test_way_points_are_passed_and_stay_with_their_move(opened: Any, tmp_path: P
             seen.page.get_by_role("button", name="Download").click()
         download.value.save_as(tmp_path / f"{len(saved)}.csv")
         saved.append(Plan.load(tmp_path / f"{len(saved)}.csv", ARM.joint_types, vias=True))
-        new = seen.facts().get("new moves, not checked", "0")
-        assert new == ("0" if len(saved) != 2 else "2")  # 2 1 3
+        assert seen.facts().get("new moves, not checked", "0") == ("0" if len(saved) != 2 else "2")  # 2 1 3
         seen.page.get_by_role("button", name=button).click()
     seen.close((tmp_path / "page.html").as_uri())
     for file, order in zip(saved, ([*range(6)], [2, 1, 5], [*range(6)]), strict=True):
         np.testing.assert_allclose(np.degrees(file.postures), q[order], atol=1e-9)
         assert file.cells["kind"] == [kinds[k] for k in order]
-        known = signs if len(order) > 3 else 3 * [""]
-        assert [file.cells[f"direction{j}"] for j in range(1, 7)] == 6 * [known]
+        assert [file.cells[f"direction{j}"] for j in range(1, 7)] == 6 * [signs if len(order) > 3 else 3 * [""]]
 
 
 def test_the_drawing_stands_in_in_print_and_no_other_script_runs(seen: Watched) -> None:
