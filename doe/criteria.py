@@ -333,8 +333,7 @@ class PowerMean(Criterion):
     def _of(self, inverse: Array) -> Array:
         scale = np.trace(inverse, axis1=-2, axis2=-1)
         power = np.linalg.matrix_power(inverse / scale[..., None, None], self.exponent)
-        mean = np.trace(power, axis1=-2, axis2=-1) / power.shape[-1]
-        return np.asarray(mean ** (-1.0 / self.exponent) / scale)
+        return np.asarray((np.trace(power, axis1=-2, axis2=-1) / power.shape[-1]) ** (-1.0 / self.exponent) / scale)
 
     def gradient(self, information: Array) -> Array:
         inverse = np.linalg.inv(information)

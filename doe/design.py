@@ -48,20 +48,19 @@ class Design(PlanOfProblem):
         below about 1e-7 of the largest from zero: `value` is then -inf although they count here."""
         return indistinct(self.problem, self.plan.postures, self.plan.weights)
 
+    outside = property(lambda self: tuple(self.missed))  # runs for which no bound holds
+
     @cached_property
-    def outside(self) -> tuple[int, ...]:
-        """Runs (from 1) beyond a joint limit or a constraint by more than rounding: no bound holds for such a plan."""
-        # [rad], [mm] by which a posture may miss limits and constraints: what rounding of a file does
-        problem, q, fits = self.problem, self.plan.postures, 1e-6
+    def missed(self) -> dict[int, str]:
+        """Runs (from 1) beyond joint limits or constraints by more than rounding -> which, and by how much."""
+        problem, q, fits = self.problem, self.plan.postures, 1e-6  # [rad], [mm]: what rounding of a file does
         # joints that may take every angle moved into their limits by whole turns, unless the model sees it
         middle, rotary = 0.5 * (problem.lower + problem.upper), turns(problem.model)
         rotary &= problem.upper - problem.lower >= 2.0 * np.pi - fits
         moved = np.where(rotary, q - 2.0 * np.pi * np.round((q - middle) / (2.0 * np.pi)), q)
         change = np.abs(problem.scaled_jacobians(moved) - problem.scaled_jacobians(q)).max()
         angles = moved if change < 1e-9 else q  # relative to what a whole parameter does: rounding
-        breaks = np.any((angles < problem.lower - fits) | (angles > problem.upper + fits), axis=1)
-        breaks |= np.any(problem.walls.values(q) < -fits, axis=1)
-        return tuple((np.flatnonzero(breaks) + 1).tolist())
+        return self.plan.missed(np.maximum(problem.lower - angles, angles - problem.upper), problem.walls, fits)
 
     @cached_property
     def no_efficiency(self) -> str | None:
@@ -228,6 +227,7 @@ class Design(PlanOfProblem):
         alike = ", at one payload, temperature, time and approach direction" * bool(getattr(problem.model, "needs", ()))
         if kept := len(problem.kept):
             lines.append(f"figures are for these runs and the {kept} measured already (--keep) in one session{alike}")
+        lines += [f"  run {run}: outside {what}" for run, what in [*self.missed.items()][:10]]
         if not np.isfinite(self.log_det):
             still, combinations = problem.without_effect, self.not_identifiable
             why = (

@@ -262,8 +262,7 @@ class Arm(ByValue):
         if not isinstance(chain, KinematicChain):
             links = readonly(chain, -1)
             require(1 <= links.size <= MAX_LINKS, f"links_mm: {links.size} links, allowed: 1 to {MAX_LINKS}")
-            positive = bool(np.all(np.isfinite(links) & (links > 0)))
-            require(positive, f"links_mm: {links.tolist()}, allowed: lengths > 0")
+            require(bool(np.all(np.isfinite(links) & (links > 0))), f"links_mm: {links.tolist()}, allowed: lengths > 0")
             chain = planar_chain(links)
         n, turning = len(chain), np.array(chain.joint_types) == REVOLUTE
         require(1 <= n <= MAX_LINKS, f"links_mm: {n} links, allowed: 1 to {MAX_LINKS}")

@@ -172,8 +172,7 @@ class Document:
         from rich.console import Console
 
         plain: dict[str, Any] = {"force_terminal": False, "force_jupyter": False, "color_system": None}
-        console = Console(file=(shown := io.StringIO()), width=width, highlight=False, markup=False, **plain)
-        console.print(self)
+        Console(file=(shown := io.StringIO()), width=width, highlight=False, markup=False, **plain).print(self)
         return "".join(f"{line.rstrip()}\n" for line in shown.getvalue().splitlines())
 
     def __str__(self) -> str:

@@ -223,13 +223,13 @@ def check_files(
         plan = Plan.load(data, loaded.joint_types, vias=True)
         q, moves = plan.measured, plan.postures if plan.weights is None else None
         kept, near, lines = allowed(Model(loaded), q, moves)
-        beyond = [np.minimum(q - loaded.lower, loaded.upper - q) + 1e-6]
-        beyond += [each.margin(q) + 1e-3 for each in kept if each.kind != "clearance"]
-        outside = (np.flatnonzero(np.any(np.concatenate(beyond, axis=1) < 0.0, axis=1)) + 1).tolist()
-        summary = f"{data}: a plan of {len(q)} runs, {len(outside)} of them outside joint limits or constraints"
-        summary += f": {', '.join(map(str, outside))}" if outside else ""
-        answers: dict[str, Any] = {"outside_limits": outside, "collisions": [], "moves": {"not_free": []}, **near}
-        fine = not (outside or answers["collisions"] or answers["moves"]["not_free"])
+        walls = [each for each in kept if each.kind != "clearance"]
+        missed = plan.missed(np.maximum(loaded.lower - q, q - loaded.upper), walls, 1e-3)
+        summary = f"{data}: a plan of {len(q)} runs, {len(missed)} of them outside joint limits or constraints"
+        summary += f": {', '.join(map(str, missed))}" if missed else ""
+        lines = [*(f"  run {run}: {what}" for run, what in [*missed.items()][:10]), *lines]
+        answers: dict[str, Any] = {"outside_limits": [*missed], "collisions": [], "moves": {"not_free": []}, **near}
+        fine = not (missed or answers["collisions"] or answers["moves"]["not_free"])
         return Answer({"ok": fine, **answers}, Document(parts=[summary, *lines]))
     measurements = load_measurements(data, loaded)
     progress(0, None, f"trying readings of {len(measurements)} rows, and a fit of the geometry")

@@ -288,8 +288,7 @@ def continuous_design(
             largest = top.upper if top.proven else largest
             break
         start = np.concatenate([tried, top.posture[None]])
-    seconds = perf_counter() - began
-    return design.certified(float(largest), 10.0 * goal, cut=stop(), seconds=seconds, rigorous=rigorous)
+    return design.certified(float(largest), 10.0 * goal, cut=stop(), seconds=perf_counter() - began, rigorous=rigorous)
 
 
 def generate_columns(
@@ -371,8 +370,7 @@ def relax(
         chosen = listed_candidates(problem, np.asarray(candidates, dtype=float))
     try:
         if solver == "column_generation":
-            tolerance = 0.01 if problem.missing else 1e-9
-            return column_generation(problem, chosen, runs=runs, tolerance=tolerance, stop=stop)
+            return column_generation(problem, chosen, runs=runs, tolerance=0.01 if problem.missing else 1e-9, stop=stop)
         larger = "solver column_generation works at this size"
         if len(chosen) > LARGEST[solver]:
             allowed = f"up to {LARGEST[solver]}, where one big program still works"

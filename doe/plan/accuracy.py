@@ -190,8 +190,7 @@ def missing_effects(problem: DesignProblem, names: Sequence[str] | None = None, 
     require(problem.model.sigma is not None, f"--robust {NEEDS_SIGMA}")
     # the order of the fastest wave of an error curve that a plan is to show (doe/README.md, "Robust designs"): a wave
     # has two parameters at each joint
-    equations = (runs + len(problem.kept)) * problem.model.dimension
-    return missing(names, max(24.0, 0.5 * equations / problem.joints))
+    return missing(names, max(24.0, 0.5 * (runs + len(problem.kept)) * problem.model.dimension / problem.joints))
 
 
 def robust_problem(problem: DesignProblem, missing: Any = None, poses: Array | None = None) -> DesignProblem:

@@ -314,8 +314,7 @@ def drive(
     if via.any():  # how joints come to a run does not follow from the runs before
         last = np.diff(whole.postures, axis=0, prepend=np.nan)[~via].round(9)
         measured = replace(measured, conditions={"directions": np.where(last == 0.0, np.nan, np.sign(last))})
-    many = len(plan) > MANY and order != "travel"
-    around = rows if many else shortest_path(room.travel(postures[:, None], postures))
+    around = rows if len(plan) > MANY and order != "travel" else shortest_path(room.travel(postures[:, None], postures))
     ways = (plan.postures, whole.postures, measured.postures, postures[around])
     before, after, *shortest = np.degrees([room.length(way) for way in ways]).tolist()
     saved = 1.0 - after / before if before > 0.0 else 0.0
@@ -414,10 +413,9 @@ def said_of_collisions(
         data["moves"] = {"not_free": (blocked := unproven(constraints, moves))}
     few = np.flatnonzero(clearance.asked < clearance.usual)
     narrow = [f"{' and '.join(clearance.pairs[k])} ({clearance.asked[k]:.3g} mm)" for k in few]
-    touching = [" and ".join(pair) for pair in clearance.touching]
     unlike = (
         ("Pairs that are always close (smaller clearance)", narrow),
-        ("Pairs whose covers touch at nearly all postures (not checked)", touching),
+        ("Pairs whose covers touch at nearly all postures (not checked)", [*map(" and ".join, clearance.touching)]),
         ("Links whose meshes were not found (not checked)", clearance.unseen),
         ("Joints whose links have no bodies (not checked)", clearance.bare),
     )

@@ -36,9 +36,7 @@ def plan_section(
         near.append(f"Moves: {len(moves)} of {len(plan) - 1} may collide on the way; armcal score names them.")
     title = f"The plan {name}".rstrip()
     if (steps := plan_steps(problem, plan, Path(name or "plan.csv").stem, tests)) is not None:
-        short = [
-            line.replace("each other:", "each other; step to a run to see which.") for line in near if line[0] != " "
-        ]
+        short = [one.replace("each other:", "each other; step to a run to see which.") for one in near if one[0] != " "]
         return Section(title, [PlanSteps(lambda: [f"{lead} {STEPS}".strip(), *short], steps)])
     sentence = f"{lead} {len(postures)} runs, too many to step through or weighted: only drawn.".strip()
     return Section(title, [Pictures(lambda: [sentence, *near, plan_figure(arm, postures)])])

@@ -153,8 +153,7 @@ def _drawn_chain(file: Any, urdf: Urdf | None) -> KinematicChain:
         chain = chains.planar_chain(file.links_mm)
     elif urdf is not None:
         tables = {REVOLUTE: file.joint_limits_deg, PRISMATIC: file.joint_limits_mm}
-        limited = [kind for kind, table in tables.items() if table is not None]
-        chain = urdf.chain(file.base_link, file.tip_link, limited)
+        chain = urdf.chain(file.base_link, file.tip_link, [kind for kind, table in tables.items() if table is not None])
     else:
         limits = None if file.joint_limits_mm is None else TURN  # those of joints that slide are given elsewhere
         rows = [DHRow(row.a_mm, row.alpha_deg, row.d_mm, row.offset_deg, row.joint, limits) for row in file.dh]

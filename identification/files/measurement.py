@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from identification.arm import LARGEST, LARGEST_ANGLE, LENGTH_RANGE, MAX_LINKS, SIGMA_RANGE, Arm
 from identification.arrays import Array, ByValue, readonly
-from identification.document import Sheet, html
+from identification.document import Sheet, html, in_a_sentence
 from identification.errors import InputError, require
 from identification.files.csv import MEASURE, VIA, Table, csv_text, read_table
 from identification.files.io import PathLike
@@ -308,6 +308,19 @@ class Plan(ByValue):
             return []
         motions = np.diff(self.postures, axis=0, prepend=self.postures[:1])  # to the first it may come from anywhere
         return (np.flatnonzero(np.any(motions * np.nan_to_num(asked) < 0.0, axis=1)[self.is_run]) + 1).tolist()
+
+    def missed(self, beyond: Array, constraints: Sequence[Any], rounding: float) -> dict[int, str]:
+        """Runs, from 1, outside joint limits or constraints -> which, and by how much;  beyond : (r, n) [rad, mm] how
+        far joints are beyond their limits;  rounding : [mm] by which constraints may be missed"""
+        columns = [(f"joint {j}", unit, beyond[:, j - 1], 1e-6) for j, unit in enumerate(self.units, start=1)]
+        for each in constraints:
+            columns.append((each.kind, "mm", -each.margin(self.measured).min(axis=1, initial=np.inf), rounding))
+        missed = dict[int, list[str]]()
+        for name, unit, over, most in columns:
+            for run in np.flatnonzero(over > most).tolist():
+                amount = np.degrees(over[run]) if unit == "deg" else over[run]
+                missed.setdefault(run + 1, []).append(f"{name} by {in_a_sentence(amount)} {unit}")
+        return {run: ", ".join(missed[run]) for run in sorted(missed)}
 
     @property
     def shares(self) -> Array:

@@ -280,8 +280,7 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Lib
         joints = () if whole else range(cls.first_joint, arm.links + 1)
         for joint in (*([] if cls.per_joint == "required" else [None]), *joints):
             spec = EffectSpec(name, joint)
-            slides = joint is not None and arm.joint_types[joint - 1] == PRISMATIC
-            of_angle = slides and (cls.of_angle or cls.unlisted)
+            of_angle = joint is not None and arm.joint_types[joint - 1] == PRISMATIC and (cls.of_angle or cls.unlisted)
             if of_angle or (joint in unseen and (cls.unlisted or hasattr(cls, "joint_angles"))):
                 reasons[spec.key] = "the joint slides, or hardly moves the measured point"
                 continue

@@ -140,8 +140,7 @@ def diagnose(
     scatter = [Finding(noise.name, max(1.0 - p, 0.0), noise.size) for noise, p in of_noise if noise.name and p >= 0.5]
     here = fitted.on(rows)
     blocks = (here.jacobian @ spectrum(here.jacobian, fitted.model.scales).root).reshape(*before.shape, -1)
-    unexplained = outlying(here.residual.reshape(before.shape), blocks)
-    far = kept & together(unexplained, rows.postures, rows.posture_numbers)
+    far = kept & together(outlying(here.residual.reshape(before.shape), blocks), rows.postures, rows.posture_numbers)
     freedom = np.full(len(predicting.values), float(predicting.freedom))
     average = as_calibration(predicting, predicting.covariance, freedom, base.rows.postures)
     result = Diagnosis(

@@ -189,8 +189,7 @@ class Fitted:
         """(p, p) of the estimates [unit of row x unit of column]; a parameter with an active bound counts as known."""
         full, free = np.zeros((len(self.values),) * 2), np.arange(len(self.values))
         free = free if self.free is None else free[self.free]
-        spread = spectrum(self.jacobian[:, free], self.model.scales[free]).covariance
-        full[np.ix_(free, free)] = self.sigma**2 * spread
+        full[np.ix_(free, free)] = self.sigma**2 * spectrum(self.jacobian[:, free], self.model.scales[free]).covariance
         return full
 
 

@@ -66,7 +66,7 @@ def test_what_the_plan_does_not_tell_is_said() -> None:
     told = score(case, plan)
     assert told.to_json()["not_identifiable"] == []
     assert "no log det" not in str(told)
-    walls = replace(case, constraints=(WorkspaceBox((-660.0, 660.0), (-660.0, 660.0)),))
+    walls = problem(replace(FOUR, constraints=(WorkspaceBox((-660.0, 660.0), (-660.0, 660.0)),)))
     assert not score(walls, np.repeat(plan, 2, axis=0))._remarks()  # nobody kept its postures apart
 
 
@@ -88,6 +88,7 @@ def test_a_plan_outside_the_limits_is_never_certified() -> None:
     fourier = np.outer(2 * np.pi * np.arange(5) / 5, np.ones(4))  # orthogonal columns, log det M' = 0: above the bound
     design = score_plan(problem(FOUR), fourier)
     assert (design.outside, design.to_json()["outside_limits"]) == ((2, 3, 4, 5), [2, 3, 4, 5])
+    assert f"run 2: outside joint 3 by {72 - np.degrees(FOUR.upper[2]):.1f} deg" in str(design)
     closed = closed_form_bound(problem(FOUR))
     assert design.value > closed.value
     said = "runs 2, 3, 4, 5 are outside joint limits or constraints, where no bound applies"

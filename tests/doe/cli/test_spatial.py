@@ -131,8 +131,7 @@ def test_a_kept_run_counts_once_with_the_reflectors_read(spatial: Folder, monkey
     new[:, 1:] = np.radians(new[:, 1:])
     read = Model(arm).jacobian(rows.postures, None, rows.conditions) / scales
     of_rows = sum(np.einsum("kdp,kdq->pq", j, j) for j in (read, problem.scaled_jacobians(new)))
-    information = np.diag(problem.precisions) + of_rows
-    deviations = 0.02 * np.sqrt(np.diag(np.linalg.inv(information))) / scales
+    deviations = 0.02 * np.sqrt(np.diag(np.linalg.inv(np.diag(problem.precisions) + of_rows))) / scales
     for parameter, deviation in zip(problem.model.parameters, deviations, strict=True):
         std, _ = some["std"]["parameters"][parameter.name]
         assert std == pytest.approx(deviation * parameter.to_file, rel=1e-6)

@@ -173,8 +173,7 @@ def test_rivals_are_told_apart_where_they_differ() -> None:
     """Joints that move by 46 degrees to either side: an eccentric encoder looks like a wrong gear ratio there."""
     generator = np.random.default_rng(2)
     postures = generator.uniform(-0.8, 0.8, (16, 3))
-    real = postures + np.eye(3)[1] * 2e-3 * np.cos(postures[:, 1:2] - 1.2)
-    exact = Model(Arm(STANDS)).position(real)
+    exact = Model(Arm(STANDS)).position(postures + np.eye(3)[1] * 2e-3 * np.cos(postures[:, 1:2] - 1.2))
     data = Measurements(postures, exact + SIGMA * generator.standard_normal((16, 3)))
     found = diagnose(Arm(chain_of(TABLE_ROWS), sigma=SIGMA), data)
     assert found.verdict == "ambiguous"

@@ -251,8 +251,7 @@ def five_bar_tip(q: Array, values: Array) -> Array:
     left = a * np.exp(1j * (q[:, 0] + values[4]))
     right = FiveBar.base + b * np.exp(1j * (q[:, 1] + values[5]))
     gap = np.abs(right - left)
-    opening = np.arccos((c**2 + gap**2 - d**2) / (2.0 * c * gap))
-    tip = left + c * np.exp(1j * (np.angle(right - left) + opening))
+    tip = left + c * np.exp(1j * (np.angle(right - left) + np.arccos((c**2 + gap**2 - d**2) / (2.0 * c * gap))))
     return np.stack([tip.real, tip.imag], axis=1)
 
 

@@ -87,8 +87,7 @@ def test_rows_without_payload_are_completed_before_others_are_appended() -> None
 
 @pytest.mark.parametrize(("arm", "joints", "runs"), [(ARM, 2, 9), (SIX_AXIS, 6, 16)])
 def test_the_log_det_of_a_plan_follows_from_what_the_page_has(arm: Arm, joints: int, runs: int) -> None:
-    via = np.arange(runs + 1) == 3
-    whole = Plan(np.random.default_rng(1).uniform(-2.0, 2.0, (runs + 1, joints)), via=via)
+    whole = Plan(np.random.default_rng(1).uniform(-2.0, 2.0, (runs + 1, joints)), via=np.arange(runs + 1) == 3)
     plan, steps = Plan(whole.measured), plan_steps(problem(arm), whole)
     rows = np.array(steps["jacobians"]).reshape(-1, steps["parameters"])
     log_det = np.linalg.slogdet((rows.T @ rows + np.diag(steps["precisions"])) / runs)[1]

@@ -86,8 +86,7 @@ class Scripted:
 
 
 def test_clips_and_recomputes() -> None:
-    beyond = GOOD + 1e-8 * np.sign(GOOD)
-    solver = Scripted([Offer(POOR, 1), Offer(beyond, 1), Offer(POOR, 1)])
+    solver = Scripted([Offer(POOR, 1), Offer(GOOD + 1e-8 * np.sign(GOOD), 1), Offer(POOR, 1)])
     design = solve(problem(FOUR), 8, solver)
     assert (design.status, design.starts, solver.taken) == (Status.bound_reached, 2, 2)
     postures = design.plan.postures
@@ -250,8 +249,7 @@ def test_twenty_runs_are_near_the_bound(criterion: Criterion) -> None:
     assert design.bound.source == "continuous"
     assert design.value <= design.bound.value + 1e-8
     assert design.efficiency >= 0.99
-    other = solve(problem(FOUR), 20)  # D-optimal, by theory
-    assert design.value >= case.objective(other.plan.postures) - SEARCHED
+    assert design.value >= case.objective(solve(problem(FOUR), 20).plan.postures) - SEARCHED  # D-optimal, by theory
 
 
 def test_the_papers_criterion_within_narrow_limits() -> None:
