@@ -340,8 +340,7 @@ class PowerMean(Criterion):
         scaled = inverse / np.real(np.trace(inverse, axis1=-2, axis2=-1))[..., None, None]
         power = np.linalg.matrix_power(scaled, self.exponent)
         mean = np.trace(power, axis1=-2, axis2=-1) / power.shape[-1]
-        factor = mean ** (-1.0 / self.exponent - 1.0) / scaled.shape[-1]
-        return np.asarray(factor[..., None, None] * (power @ scaled))
+        return np.asarray((mean ** (-1.0 / self.exponent - 1.0) / scaled.shape[-1])[..., None, None] * (power @ scaled))
 
     def values_after_adding(self, information: Array, jacobians: Array) -> Array:
         """Of inverses by Woodbury's identity."""

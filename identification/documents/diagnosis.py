@@ -185,7 +185,7 @@ def refuted(data: Data) -> bool:
 
 def implausible(data: Data) -> bool:
     """Whether rows or arm file must be put right first: no geometry explains the rows as they are."""
-    return any(doubt.startswith("implausible") for doubt in data["warnings"])
+    return any(doubt.startswith(("implausible", fits.MOVED)) for doubt in data["warnings"])
 
 
 def judges(data: Data) -> str:
@@ -218,11 +218,13 @@ def diagnosis_actions(
     again = " ".join(["armcal diagnose", arm, *rows])
     joined = ", of all rows in one file with a column session" * (len(rows) > 1)
     alone = fits.identify_command(arm, "all.csv" if joined else rows[0], fits.ALONE)
-    confirm = Action(
-        "Measure about twenty other postures, preferably on another day, to confirm what was found:",
-        f"{again} --holdout other.csv",
-    )
+    another = "Measure about twenty other postures, preferably on another day, to confirm what was found:"
+    confirm = Action(another, f"{again} --holdout other.csv")
     if implausible(data):
+        if any(doubt.startswith(fits.MOVED) for doubt in data["warnings"]):
+            return [
+                Action("Name the measured points of each session apart (column marker), and diagnose again:", again)
+            ]
         return [Action("Put the rows or the arm file right first:", f"armcal check {arm} {rows[0]}")]
     if refuted(data):
         gain = " yet: the error on held-out rows falls by less than predicted"

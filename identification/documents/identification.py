@@ -53,6 +53,7 @@ BETA = (
 )
 AMONG = "among those that the model was identified from"  # some rows
 FITTED = "the model was identified from these measurements: this says nothing about others"
+MOVED = "measured points moved between sessions"
 BY_CHANCE = "may be chance"  # said of a gain within what the rows scatter by
 BEYOND = "more than the file promises"  # of what is left
 ZEROS = "with the joint offsets refitted, too"  # less is left

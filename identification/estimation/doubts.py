@@ -11,7 +11,7 @@ from scipy.special import fdtrc
 
 from identification.arm import OVERSHOOT, Arm
 from identification.arrays import Array, rows_in_words
-from identification.documents.identification import reading_unit
+from identification.documents.identification import MOVED, reading_unit
 from identification.estimation.problem import Problem
 from identification.estimation.uncertainty import LEVEL, WhiteRows, decomposed_groups
 from identification.information import ALONE, spectrum
@@ -207,7 +207,7 @@ def moved_points(model: Model, x: Array, residual: Array, measurements: Measurem
         return []
     # by a linear estimate: that it falls much is certain, how far is not
     fall = f"the RMS, {np.sqrt(held / len(residual)):.4g} mm, falls by more than half if each session has its own"
-    return [f"measured points moved between sessions: {fall}; give them another name (column {column}) in each session"]
+    return [f"{MOVED}: {fall}; give them another name (column {column}) in each session"]
 
 
 def lacking(model: Model, measurements: Measurements) -> list[str]:

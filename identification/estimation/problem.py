@@ -310,8 +310,7 @@ def likeliest_noise(target: Array, effects: Array, spare: int, least: float, lar
         without a prior projected out, of which `spare` equations are left
     """
     square, many = float(target @ target), effects.shape[0] < effects.shape[1]
-    normal = effects @ effects.T if many else effects.T @ effects  # both have the same values, but for zeros
-    values, vectors = np.linalg.eigh(normal)
+    values, vectors = np.linalg.eigh(effects @ effects.T if many else effects.T @ effects)  # the same, but for zeros
     kept = np.flatnonzero(significant(values, PRODUCT_TOLERANCE))[-spare:]
     # variances of orthogonal combinations of residuals that effects of deviation one make, and squares of these
     values, vectors = values[kept], vectors[:, kept]

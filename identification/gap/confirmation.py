@@ -230,6 +230,7 @@ class HeldOut:
             refitted = f", {' and '.join(words)} refitted to these rows" if words else ""
             target = base.model.arm.chain.instrument.own_targets
             moved = f", or a {target} that was moved (armcal validate finds it again)" if target else ""
+            moved += "" if self.elsewhere else ", or another set-up (say so in a column session)"
             raise InputError(
                 f"holdout: median residual {missed:.3g} mm with the arm calibrated on the data{refitted}, allowed: up "
                 f"to {limit:.3g} mm; another arm or unit{moved}? armcal check tells what the columns look like"

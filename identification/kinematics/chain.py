@@ -571,10 +571,8 @@ class PlanarClosedForm:
         back, forth = (np.ascontiguousarray(a.T) for a in (back, columns))
 
         def solve(positions: Array) -> tuple[Array, Array]:
-            # x + iy, without a copy where memory allows
-            measured = np.ascontiguousarray(positions, dtype=float).view(np.complex128)[..., 0]
-            # differences to the nominal arm: the sum of squares then loses no digits
-            rest = measured - columns @ nominal
+            # x + iy, without a copy where memory allows; of differences to the nominal arm squares lose no digits
+            rest = np.ascontiguousarray(positions, dtype=float).view(np.complex128)[..., 0] - columns @ nominal
             change = rest @ back
             squares = ((rest - change @ forth) * root).view(np.float64)
             unknowns = nominal + change

@@ -317,9 +317,8 @@ def led_to_contact(model: Model, postures: Array, goals: Array, units: Array, ta
         )
         slopes = slopes * units
         across = slopes @ np.swapaxes(slopes, 1, 2)
-        sizes = np.einsum("mdd->m", across)[:, None, None]
         # slopes below this share of the largest go nowhere
-        across = across + (1e-12 * sizes + 1e-300) * np.eye(across.shape[-1])
+        across = across + (1e-12 * np.einsum("mdd->m", across)[:, None, None] + 1e-300) * np.eye(across.shape[-1])
         steps = (np.swapaxes(slopes, 1, 2) @ np.linalg.solve(across, (goals - reading[..., 0])[..., None]))[..., 0]
         # at most 0.5 rad at a time, of a prismatic joint that share of its range / (2 pi)
         q = q + steps / np.maximum(np.linalg.norm(steps, axis=1, keepdims=True) / 0.5, 1.0) * units

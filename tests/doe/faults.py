@@ -129,7 +129,8 @@ def start(command: Command, folder: Path, more: str = "") -> subprocess.Popen[st
 def ended(process: subprocess.Popen[str]) -> tuple[int | None, str]:
     """Exit code and standard error of a process; no code where it had to be killed after `PATIENCE`."""
     try:
-        return process.returncode, process.communicate(timeout=PATIENCE)[1]
+        errors = process.communicate(timeout=PATIENCE)[1]
+        return process.returncode, errors
     except subprocess.TimeoutExpired:
         os.killpg(process.pid, signal.SIGKILL)
         return None, process.communicate()[1]

@@ -71,6 +71,7 @@ def test_effects_are_said_in_words_with_their_names(labels: list[str], words: st
         (said("named", "backlash:2"), f"Missing from the model: {PLAY}", "--holdout other.csv"),
         (said("named", "backlash:2", confirmed=False), "Not confirmed on held-out rows. Missing", ""),
         (said("named", "backlash:2") | {"warnings": ["implausible: .."]}, "Missing", "armcal check arm.toml data.csv"),
+        (said("none") | {"warnings": ["measured points moved between sessions: .."]}, "Nothing", "armcal diagnose"),
         (said("named", "backlash:2") | LEFT_OUT, "Not confirmed on rows left out in cross-validation.", ""),
         (said("ambiguous", "backlash:2", "axes_skew", sets=2), LIKELIEST, "discriminate arm.toml data.csv"),
         (said("ambiguous", "backlash:2"), f"{HALF}: {PLAY}.", "discriminate arm.toml"),
