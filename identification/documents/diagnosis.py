@@ -222,9 +222,8 @@ def diagnosis_actions(
     confirm = Action(another, f"{again} --holdout other.csv")
     if implausible(data):
         if any(doubt.startswith(fits.MOVED) for doubt in data["warnings"]):
-            return [
-                Action("Name the measured points of each session apart (column marker), and diagnose again:", again)
-            ]
+            rename = "Give the measured points of each session names of their own (column marker), and diagnose again:"
+            return [Action(rename, again)]
         return [Action("Put the rows or the arm file right first:", f"armcal check {arm} {rows[0]}")]
     if refuted(data):
         gain = " yet: the error on held-out rows falls by less than predicted"
