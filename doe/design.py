@@ -48,8 +48,6 @@ class Design(PlanOfProblem):
         below about 1e-7 of the largest from zero: `value` is then -inf although they count here."""
         return indistinct(self.problem, self.plan.postures, self.plan.weights)
 
-    outside = property(lambda self: tuple(self.missed))  # runs for which no bound holds
-
     @cached_property
     def missed(self) -> dict[int, str]:
         """Runs (from 1) beyond joint limits or constraints by more than rounding -> which, and by how much."""
@@ -65,9 +63,9 @@ class Design(PlanOfProblem):
     @cached_property
     def no_efficiency(self) -> str | None:
         """Why there is no efficiency; None where there is one."""
-        if self.outside:
-            listed = ", ".join(map(str, self.outside[:10])) + ", ..." * (len(self.outside) > 10)
-            are = f"run {listed} is" if len(self.outside) == 1 else f"runs {listed} are"
+        if outside := [*self.missed]:
+            listed = ", ".join(map(str, outside[:10])) + ", ..." * (len(outside) > 10)
+            are = f"run {listed} is" if len(outside) == 1 else f"runs {listed} are"
             return f"{are} outside joint limits or constraints, where no bound applies"
         if self.bound is None:
             return "no bound is known"
@@ -144,7 +142,7 @@ class Design(PlanOfProblem):
             "certified_optimal": self.certified_optimal,
             "optimality": self.optimality,
             "not_identifiable": list(self.not_identifiable),
-            "outside_limits": list(self.outside),
+            "outside_limits": list(self.missed),
             **self.plan.to_json(),
             "fit": self.plan.fit or None,
             "table_1_max_residual": _number(self.table_1_max_residual),
@@ -201,7 +199,7 @@ class Design(PlanOfProblem):
         """Value, bound, efficiency; of criterion I not its own scale, which says nothing more than the millimetres."""
         bound, kind, in_mm = self.bound, self.problem.criterion.name, self.expected_error is not None
         table_1, runs, links = self.table_1_max_residual, len(self.plan), self.plan.links
-        words = bound.words if bound and not self.outside else ""
+        words = bound.words if bound and not self.missed else ""
         highest = f"{number(bound.value, 7)} ({words})" if bound and words and not in_mm else ""
         efficiency = f"-: {self.no_efficiency}" if self.no_efficiency else number(self.efficiency, 6)
         optimal = self.optimality_in_words or "not shown"
@@ -321,7 +319,7 @@ def score_plan(problem: DesignProblem, plan: Plan | ArrayLike, *, seconds: float
     seconds : time for the bound, which is valid even if its search is cut short
     """
     design = score(problem, plan)
-    if design.outside:
+    if design.missed:
         return design
     end, postures = np.inf if seconds is None else perf_counter() + seconds, design.plan.postures
     bound = best_known_bound(problem, len(postures), lambda: perf_counter() > end)

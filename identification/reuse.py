@@ -40,7 +40,7 @@ def only(arm: Arm, words: Sequence[str], measurements: Measurements | None = Non
 
     words : kinds (`KINDS`), effects (`backlash`, `backlash:2`) or parameters (`joint_offset:2`). `base` of a planar arm
         is its shift and the offset of joint 1; bases of further sessions are always estimated, points that the rows do
-        not measure never
+        not measure never by `tool`
 
     Raises `InputError` for words that name no parameter of the arm, and for a base or a measured point that is to be
     held and that nothing says.

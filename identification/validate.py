@@ -75,11 +75,12 @@ class Validation(Documented, ReadOnly):
 
     @property
     def promised(self) -> float:
-        """RMS distance [mm] that the identification leads to expect at postures like its own; infinite: not known."""
+        """RMS distance [mm] that the file promises, with these rows' noise if that is larger; infinite: not known."""
         calibration = self.arm.calibration
         if calibration is None or calibration.scatter is None or shown.unit_key(self.arm):
             return np.inf
-        noise = calibration.scatter * np.sqrt(self.residuals[:, POINT].shape[1])
+        given = 0.0 if self.measurements.sigma is None else float(np.sqrt(np.mean(np.square(self.measurements.sigma))))
+        noise = max(calibration.scatter, given) * np.sqrt(self.residuals[:, POINT].shape[1])
         return float(np.hypot(noise, float(self.arm.provenance.get("expected_tip_measured_mm", 0.0))))
 
     @property
@@ -332,8 +333,7 @@ def judged(diagnosis: Diagnosis, arm: Arm, measurements: Measurements, holdout: 
         return diagnosis
     kept = measurements.rows([k for k in range(len(measurements)) if k + 1 not in set(diagnosis.outlier_rows)])
     # as `identify` calibrates it, where it stands in the first session
-    fit = estimate(Model(with_sessions(arm, kept)), kept)
-    geometry = replace(arm, calibration=without_sessions(fit.calibration()))
+    geometry = replace(arm, calibration=without_sessions(estimate(Model(with_sessions(arm, kept)), kept).calibration()))
     try:
         alone, extended = (validate(each, holdout) for each in (geometry, diagnosis.extended_arm()))
     except InputError:  # too few rows to place the arm

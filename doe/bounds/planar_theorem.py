@@ -52,8 +52,7 @@ def closed_form_bound(problem: DesignProblem) -> Bound | None:
     if not applies(problem):
         return None
     joints = list(offered(problem.model, "theorem_joints", "closed form"))
-    ranges = np.minimum(problem.upper[joints] - problem.lower[joints], np.pi)
-    value = float(4.0 * np.sum(np.log(np.sin(ranges / 2.0))))
+    value = float(4.0 * np.sum(np.log(np.sin(np.minimum(problem.upper[joints] - problem.lower[joints], np.pi) / 2.0))))
     return Bound(value, "closed_form", True, unconstrained=bool(problem.constraints))
 
 

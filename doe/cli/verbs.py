@@ -244,7 +244,7 @@ def score_files(
     need = f"at least {bounded.fewest_runs} for {bounded.parameters} parameters"
     require(len(judged) >= bounded.fewest_runs, f"{plan}: runs: found {len(judged)}, allowed: {need}")
     design = doe.score_plan(bounded, judged, seconds=seconds)
-    if design.outside:
+    if design.missed:
         warnings.warn(f"{plan}: {design.no_efficiency}", UserWarning, stacklevel=2)
     sees = None
     try:

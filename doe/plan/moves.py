@@ -461,8 +461,9 @@ def slack_of(each: Constraint, constraints: Sequence[Constraint]) -> Array:
 def room_of(model: Any, constraints: Sequence[Constraint], share: float = 1.0) -> Room:
     """What the moves of an arm with these constraints keep free;  share : of `slack_of` that they may use"""
     slack, levers = [np.empty(0)], [np.empty((0, len(model.lower)))]
-    # links are nowhere farther from the axis of any joint than the stretched arm is long
-    longest = np.where(turns(model), getattr(model, "reach", 0.0), 1.0)
+    # nothing is farther from the axis of any joint than the stretched arm and its farthest measured point are long
+    beyond = getattr(clearance_of(constraints), "beyond", 0.0)
+    longest = np.where(turns(model), getattr(model, "reach", 0.0) + beyond, 1.0)
     for each in constraints:
         slack.append(slack_of(each, constraints))
         all_along = slack[-1][:, None] > ROUNDING

@@ -87,6 +87,7 @@ class Clearance:
         kept = (largest > 0.0) | (np.array(always, dtype=bool) & ~np.isin(np.arange(len(pairs)), within))
         self.touching, self.pairs = (tuple(pairs[k] for k in np.flatnonzero(each)) for each in (~kept, kept))
         lengths = np.linalg.norm(np.diff(model.joint_frames(drawn[:1])[0, 1:, :3, 3], axis=0), axis=1)
+        self.beyond = float(lengths[-1] + np.linalg.norm(points, axis=1).max())  # [mm] from the last joint
         bare = [f"joint {j}" for j in (np.flatnonzero(lengths > ROUNDING) + 1).tolist() if j not in joints]
         self.unseen, self.bare = getattr(cell.bodies, "unseen", ()), bare
         self.asked = np.minimum(self.usual, np.where(largest > 0.0, 0.25 * largest, np.inf))[kept]

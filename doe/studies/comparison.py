@@ -125,7 +125,7 @@ def evaluated(runs: int, design: Design) -> Row:
         "bound_cut": bound is not None and bound.cut,
         "efficiency": design.efficiency,
         "parameters": design.problem.parameters,
-        "correct": complete and not design.outside and (bound is None or value <= bound.value + rounding),
+        "correct": complete and not design.missed and (bound is None or value <= bound.value + rounding),
         "seconds": design.seconds,
     }
 

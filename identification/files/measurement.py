@@ -314,12 +314,13 @@ class Plan(ByValue):
         far joints are beyond their limits;  rounding : [mm] by which constraints may be missed"""
         columns = [(f"joint {j}", unit, beyond[:, j - 1], 1e-6) for j, unit in enumerate(self.units, start=1)]
         for each in constraints:
-            columns.append((each.kind, "mm", -each.margin(self.measured).min(axis=1, initial=np.inf), rounding))
+            unit = "mm" * each.kind.startswith(("workspace_box", "keep_out", "clearance"))  # others have no one unit
+            columns.append((each.kind, unit, -each.margin(self.measured).min(axis=1, initial=np.inf), rounding))
         missed = dict[int, list[str]]()
         for name, unit, over, most in columns:
             for run in np.flatnonzero(over > most).tolist():
                 amount = np.degrees(over[run]) if unit == "deg" else over[run]
-                missed.setdefault(run + 1, []).append(f"{name} by {in_a_sentence(amount)} {unit}")
+                missed.setdefault(run + 1, []).append(name + f" by {in_a_sentence(amount)} {unit}" * bool(unit))
         return {run: ", ".join(missed[run]) for run in sorted(missed)}
 
     @property

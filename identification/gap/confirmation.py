@@ -262,20 +262,21 @@ class HeldOut:
         white = 2.0 * float(np.mean(squares)) ** 2 / max(model.freedom, 1)
         left, added = mean_of(squares, groups_of(data, kept), white), held_out.parameter_part(model)
         scale, d = noise_factor * len(squares) * model.model.dimension / max(model.freedom, 1), after.shape[1]
-        expected, given = scale * left.value, model.model.arm.sigma if data.sigma is None else data.sigma[kept]
-        if given is not None and self.rows.sigma is not None:  # what the data's sigma says is noise is other noise here
-            noise, here = (d * float(np.mean(np.square(sigma))) for sigma in (given, self.rows.sigma))
-            expected += min(expected, noise) * (here / noise - 1.0)
-        predicted = Mean(expected + added.value, scale**2 * left.variance + added.variance, left.freedom)
-        sigma = float(np.sqrt(expected / d))
+        given = model.model.arm.sigma if data.sigma is None else data.sigma[kept]
+        here = model.model.arm.sigma if self.rows.sigma is None else self.rows.sigma
+        if given is not None and here is not None:  # what the data's sigma says is noise is other noise here
+            noise, other = (d * float(np.mean(np.square(sigma))) for sigma in (given, here))
+            scale += min(scale, noise / max(left.value, 1e-300)) * (other / noise - 1.0)
+        predicted = Mean(scale * left.value + added.value, scale**2 * left.variance + added.variance, left.freedom)
+        sigma = float(np.sqrt(scale * left.value / d))
         file, groups = self.rows.provenance.get("file") if self.transfer == SESSION else None, groups_of(self.rows)
         test = confirm(before, after, predicted, sigma, groups, self.transfer, "holdout", LEVEL, named, file, refitted)
-        if (given := model.model.arm.sigma if self.rows.sigma is None else self.rows.sigma) is None:
+        if here is None:
             return test
         # noise of this sigma, and the parameters' errors: scaled chi-square (F. E. Satterthwaite, 1946)
-        m, noise = len(after), np.square(given)
-        expected = after.shape[1] * float(np.mean(noise)) + added.value
-        variance = (2.0 * after.shape[1] * float(np.mean(noise**2)) + 4.0 * float(np.mean(noise)) * added.value) / m
+        m, noise = len(after), np.square(here)
+        expected = d * float(np.mean(noise)) + added.value
+        variance = (2.0 * d * float(np.mean(noise**2)) + 4.0 * float(np.mean(noise)) * added.value) / m
         freedom = 2.0 * expected**2 / (variance + added.variance)
         return replace(test, beyond_sigma=bool(chdtrc(freedom, freedom * test.after_mm**2 / expected) <= LEVEL))
 

@@ -52,7 +52,7 @@ Weighed = tuple[Key, float]  # a set with its likeliest sizes, and its log poste
 
 class Search:
     """The sets of blocks of one linearized problem;  total : weight of all blocks, where these are some of them;
-    at : model of the fit that it is linear about"""
+    at : model of the fit that it is linear about, None: no block needs others"""
 
     def __init__(
         self, products: Products, blocks: Sequence[Block], total: float = 0.0, at: Model | None = None
@@ -68,7 +68,7 @@ class Search:
         for k, b in enumerate(blocks):
             family = families.get(b.key.partition(":")[0], k)
             self.apart[family, k] = self.apart[k, family] = family != k
-        # (B,) that show only through those in the fit, beside all of which alone they are what their columns say
+        # (B,) that show only through others: their columns are right in sets with all of these that are in the fit
         self.needy = np.array([b.through != "" for b in blocks], dtype=bool)
         kinds = {b.through for b in blocks if b.through}
         giving = [] if at is None else [e.label for e in at.effects if not kinds.isdisjoint(e.needs)]

@@ -107,7 +107,7 @@ def plan_in_view_of_a_tracker() -> tuple[float, str]:
     postures = np.concatenate([random_postures(problem, 1000, np.random.default_rng(k)) for k in range(20)])
     bound = column_generation(problem, postures, runs=30).bound
     share = problem.criterion.efficiency(design.value, bound.value, problem.parameters)
-    assert not design.outside
+    assert not design.missed
     assert share > 0.99
     return seconds, f"m = 30, box and line of sight: {share:.4f} of the bound of the list"
 

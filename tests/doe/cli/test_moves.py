@@ -224,8 +224,7 @@ def test_a_row_that_breaks_a_constraint_and_a_way_point_that_is_not_seen(folder:
     assert folder.said("program arm.toml plan.csv --robot kuka --out plan.src")["vias"] == 1
     folder.write("hidden.csv", "run,q1_deg,q2_deg,payload_kg,temperature_C\n1,10,5,0,20\n2,90,0,3,25\n")
     assert [folder.said(f"check arm.toml {name}.csv")["outside_limits"] for name in ("plan", "hidden")] == [[], [2]]
-    far = 2000.0 - np.cos(np.radians(8.0)) * np.hypot(2000.0, 500.0)  # out of the cone
-    assert f"run 2: line_of_sight by {-far:.1f} mm" in folder.armcal("check arm.toml hidden.csv").out
+    assert "run 2: line_of_sight\n" in folder.armcal("check arm.toml hidden.csv").out
     folder.write("arm.toml", arm + circle)
     folder.refused("program arm.toml plan.csv --robot kuka --out a.src", "plan.csv: row 2: breaks", "keep_out_circle")
     post = '[[cell.bodies]]\nname = "post"\nkind = "sphere"\ncenter_mm = [0.0, 400.0]\nradius_mm = 60.0\n'

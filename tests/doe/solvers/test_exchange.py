@@ -110,7 +110,7 @@ def test_a_feasible_plan_better_than_the_best_list() -> None:
     """A box and a tracker that must see the reflector: exchanges on a list of 1,000 feasible postures fall short."""
     problem = six_axis(replace(SIX_AXIS, constraints=(BOX, SIGHT)))
     design = solve(problem, 12, starts=2, bound=NONE)
-    assert (design.solver, design.outside) == ("exchange", ())
+    assert (design.solver, design.missed) == ("exchange", {})
     assert problem.feasible(design.plan.postures).all()
     choices = random_postures(problem, 1000, np.random.default_rng(1))
     chosen = solve(replace(problem, choices=choices), 12, starts=2, bound=NONE)

@@ -132,11 +132,11 @@ def test_a_search_that_ends_early_has_the_best_so_far(
     bound = solve(many, 12, Scripted([Offer(plan, 1), KeyboardInterrupt()])).bound
     assert bound is not None
     assert bound.cut  # who stops the search does not wait for it
+    with pytest.raises(KeyboardInterrupt):  # before the first plan there is none
+        solve(problem(FOUR), 8, Scripted([KeyboardInterrupt()]))
     monkeypatch.setattr("doe.solvers.solving.best_known_bound", Mock(side_effect=KeyboardInterrupt))
     design = solve(many, 12, Scripted([Offer(plan, 1)]))  # stopped after the search, there is a plan
     assert (design.status, design.bound) == (Status.interrupted, None)
-    with pytest.raises(KeyboardInterrupt):  # before the first plan there is none
-        solve(problem(FOUR), 8, Scripted([KeyboardInterrupt()]))
 
 
 def test_a_solver_without_a_useful_plan() -> None:
