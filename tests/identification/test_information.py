@@ -94,7 +94,7 @@ def test_sparse_basis_finds_disjoint_blocks(seed: int, size: int, blocks: int) -
     planted /= np.linalg.norm(planted, axis=0)
     basis = sparse_basis(planted @ np.linalg.qr(generator.normal(size=(blocks, blocks)))[0])
     for k in range(blocks):
-        assert (abs(planted[:, k] @ basis[:, k]) / np.linalg.norm(basis[:, k])) == pytest.approx(1.0, abs=1e-9)
+        assert abs(planted[:, k] @ basis[:, k]) / np.linalg.norm(basis[:, k]) == pytest.approx(1.0, abs=1e-9)
 
 
 def test_description_rounds_and_signs() -> None:

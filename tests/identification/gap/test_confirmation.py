@@ -217,7 +217,7 @@ def test_residuals_do_not_shrink_by_what_is_fitted() -> None:
     """Fits of 6 + 6 values to 72 coordinates take a part of the noise, which is given back: on average over 40 sets
     the mean square is that of the noise, to 3 of its standard deviations, half of what the shrinking would take."""
     means = [float(np.mean(left_again(set_up(seed, "A", CELL, 24), CELL)[0] ** 2)) for seed in range(40)]
-    assert np.mean(means) == pytest.approx(NOISE**2, abs=3.0 * (NOISE**2 * np.sqrt(2.0 / (72 - 12) / 40)))
+    assert np.mean(means) == pytest.approx(NOISE**2, abs=3.0 * NOISE**2 * np.sqrt(2.0 / (72 - 12) / 40))
 
 
 def test_held_out_rows_are_tested_against_the_given_sigma() -> None:

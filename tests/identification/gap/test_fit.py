@@ -82,7 +82,7 @@ def test_sigma_per_row_is_a_relative_weight() -> None:
     """Weights 1 / relative sigma^2, relative to the geometric mean, and one scale estimated from the residuals."""
     sigma = np.random.default_rng(3).uniform(0.05, 0.3, 40)
     rows = replace(data(Model(arm()), plan(40)), sigma=sigma)
-    other = estimate(Model(arm()), rows, sigma=(sigma / np.exp(np.mean(np.log(sigma)))))
+    other = estimate(Model(arm()), rows, sigma=sigma / np.exp(np.mean(np.log(sigma))))
     scale = np.sqrt(other.chi2 / other.dof)
     found = fit(Model(arm()), Rows.of(rows))
     np.testing.assert_allclose((found.values - other.parameters) / (scale * other.std), 0.0, atol=DEVIATIONS)

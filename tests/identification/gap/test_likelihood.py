@@ -57,7 +57,7 @@ def test_the_ratio_is_that_of_densities_of_all_rows(blocks: tuple[int, ...]) -> 
     own = products.columns_of(blocks)
     scales = np.repeat([SIZES[size] for _, size in pairs], [WIDTHS[b] for b in blocks])
     nothing = log_density(z[:, :0], y, np.zeros(0))
-    assert products.state(pairs).ratio == pytest.approx((log_density(z[:, own], y, scales) - nothing), abs=1e-7)
+    assert products.state(pairs).ratio == pytest.approx(log_density(z[:, own], y, scales) - nothing, abs=1e-7)
     assert nothing == pytest.approx(gammaln(len(y) / 2) - np.log(2) - len(y) / 2 * np.log(0.5 * float(y @ y)), abs=1e-7)
 
 

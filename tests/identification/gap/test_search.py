@@ -81,7 +81,7 @@ def test_a_walk_finds_the_probabilities_of_all_sets(seed: int, sizes: dict[int, 
     sets = search.walk(search.climb(), np.random.default_rng(seed))[0]
     assert variation(search, sets) < 0.05
     # and the evidence against nothing
-    assert logsumexp([odds for _, odds in sets]) == pytest.approx((-np.log(exact(search)[()])), abs=0.1)
+    assert logsumexp([odds for _, odds in sets]) == pytest.approx(-np.log(exact(search)[()]), abs=0.1)
 
 
 def test_a_walk_keeps_to_what_may_be_together() -> None:
@@ -99,7 +99,7 @@ def test_a_walk_among_the_near_blocks_has_the_same_odds() -> None:
     """Blocks that are left out take their weight along, and all sets with them are unlikely together."""
     search = Search(products(3, {0: 25.0, 4: -25.0}), BLOCKS)
     near = search.near(search.climb())
-    assert sum([p for blocks, p in exact(search).items() if not set(blocks) <= set(near)]) < 0.05
+    assert sum(p for blocks, p in exact(search).items() if not set(blocks) <= set(near)) < 0.05
     few = Search(search.products.of_blocks(near), [BLOCKS[b] for b in near], search.total)
     assert few.log_prior((near.index(0),)) == pytest.approx(search.log_prior((0,)))
 
@@ -107,7 +107,7 @@ def test_a_walk_among_the_near_blocks_has_the_same_odds() -> None:
 def test_the_prior_is_that_of_drawing_blocks() -> None:
     """p(K) is normalized, and of K blocks drawn one after the other each set has the probability of all its orders."""
     counts = np.array([0.0, *(np.exp(log_odds_of_count(k)) / np.prod(np.arange(1.0, k + 1.0)) for k in range(1, 150))])
-    assert counts.sum() + (1.0 / zeta(TAIL) * zeta(TAIL, 150)) == pytest.approx(1.0, rel=1e-10)
+    assert counts.sum() + 1.0 / zeta(TAIL) * zeta(TAIL, 150) == pytest.approx(1.0, rel=1e-10)
     assert counts[2] / counts[1] == pytest.approx(2.0**-TAIL)
     search = Search(products(1, {}), BLOCKS)
     chances = WEIGHTS[:3] / WEIGHTS[:3].sum()
