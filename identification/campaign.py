@@ -100,7 +100,7 @@ def campaign_document(
         pooled = " ".join(["armcal diagnose", arm_file, *data])
         doubt = f"Do not use {model} as it is: on {' and '.join(worse)} it is no better than the drawing (see there)."
         actions = [Action(doubt), Action("Diagnose all measurements together, each file as a session:", pooled)]
-    elif moved := [rows for rows, test in left.items() if any(shown.ZEROS in note for note in test.notes)]:
+    elif moved := [rows for rows, test in left.items() if shown.noted(test.to_json(), shown.ZEROS)]:
         actions = shown.validation_actions(left[moved[0]].to_json(), model, moved[0])
     elif model:
         actions = [*([] if Model(calibrated[model]).complete else [look]), *([] if elsewhere else [hold]), use]

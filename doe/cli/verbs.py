@@ -218,7 +218,7 @@ def design_files(
     first = "--out plan.csv writes this plan; " if out is None else ""
     then = f"; then armcal identify {arm} DATA --{problem.fit} --out calibrated.toml" if problem.fit else ""
     extra += [*driven.lines, f"Next: {first}measure the tip at these postures, then armcal check {arm} DATA{then}"]
-    data = design.to_json() | shown.to_json() | {"expected_tip": expected, **driven.data}
+    data = design.to_json() | (shown.to_json() if discriminating else {}) | {"expected_tip": expected, **driven.data}
     answer = Answer(data, shown.document().plus(*extra), files=files)
     return with_collisions(answer, design.problem, design.plan.postures)
 

@@ -28,7 +28,7 @@ WHOLE = np.iinfo(np.uint16).max  # largest whole number of a vertex
 
 # -- plans -------------------------------------------------------------------------------------------------------------
 def plan_figure(arm: Arm, postures: Array) -> Figure:
-    """The postures of an arm as stick figures, of very many some, and every joint's angles within its limits."""
+    """The postures of an arm as stick figures, of so many that they hide each other 500, and every joint's angles."""
     shown = postures[np.linspace(0, len(postures) - 1, min(len(postures), 500)).round().astype(int)]
     count = f"{len(postures)} postures" if len(shown) == len(postures) else f"{len(shown)} of {len(postures)} postures"
     in_space, (up, around) = arm.chain.projection is not None, side(arm)

@@ -48,7 +48,7 @@ def noises(at: Fitted) -> Iterator[NoiseModel]:
     yield NoiseModel("", 0.0, rows, 0.0)
     for name, form in forms.items():
         signs = (1.0, -1.0) if name == "time_noise" else (1.0,)
-        alike = sum(other.startswith("joint") for other in forms) if name.startswith("joint") else 1
+        alike = sum(other.partition(":")[0] == name.partition(":")[0] for other in forms)  # at how many joints
         for sign in signs:
             values, vectors = np.linalg.eigh(form if sign > 0.0 else form.max() * np.eye(d) - form)
             for ratio in RATIOS:

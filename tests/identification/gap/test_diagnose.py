@@ -247,17 +247,17 @@ def test_rows_that_stand_out_beside_a_step_are_outliers_and_nothing_else(rows: l
 
 
 def test_an_average_far_from_linear_gives_way_to_the_fit(monkeypatch: pytest.MonkeyPatch) -> None:
-    expected = {name: diagnosed(name) for name in (None, "backlash")}
+    """To that by least squares of `identify`, of the named effects and of none."""
 
     def bent(posterior: Posterior, coordinates: int) -> tuple[PredictingModel, np.ndarray, Posterior]:
         best, bend, at = averaged(posterior, coordinates)
         return replace(best, values=best.values + 1.0), bend + 100.0, at
 
     monkeypatch.setattr(sys.modules["identification.gap.diagnose"], "averaged", bent)
-    for name, usual in expected.items():
-        found = diagnose(ARM, measured(name))
-        assert found.gap.rms_after == pytest.approx(usual.gap.rms_after, rel=0.02)
-        assert [spec.key for spec in found.predicting.specs] == [spec.key for spec in usual.named.specs]
+    for name, specs in ((None, ()), ("backlash", (EffectSpec("backlash", 2),))):
+        found, fitted = diagnose(ARM, measured(name)), identify(Model(ARM.with_effects(*specs)), measured(name))
+        assert [spec.key for spec in found.predicting.specs] == [spec.key for spec in specs]
+        assert found.gap.rms_after == pytest.approx(fitted.rms_after, rel=1e-6)
 
 
 def test_bad_input() -> None:

@@ -60,7 +60,7 @@ def test_a_reflector_mounted_anew_between_sessions_is_said_to_look_like_steps() 
     same, new = (diagnose(ARM, replace(both, session=sessions, **named)) for named in ({}, {"marker": sessions}))
     assert new.named.effects == ("transmission_ripple:2[k=9]",)
     tools = new.extended_arm().calibration.tools
-    assert np.linalg.norm(tools["b"][:3, 3] - tools["a"][:3, 3]) == pytest.approx(4.0 * np.sqrt(3.0), abs=0.5)
+    assert np.linalg.norm(tools["b"][:3, 3] - tools["a"][:3, 3]) == pytest.approx(4.0 * np.sqrt(3.0), abs=0.05)
     assert any("_step:" in each for each in same.effects)
     assert any("looks like steps" in note for note in same.notes)
 
